@@ -176,8 +176,6 @@ pub enum Command {
     Bench(BenchCommand),
     /// Print shell completions; load them with `source <(lodestone completions bash)`.
     Completions(CompletionsArgs),
-    /// Write man pages, one per command.
-    Man(ManArgs),
 }
 
 impl Command {
@@ -203,14 +201,6 @@ pub struct CompletionsArgs {
     pub shell: Shell,
 }
 
-/// Arguments of `man`.
-#[derive(Debug, Args)]
-pub struct ManArgs {
-    /// Folder for the pages, for example ~/.local/share/man/man1; created if it does not exist.
-    #[arg(value_name = "DIR")]
-    pub dir: PathBuf,
-}
-
 /// Arguments of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
@@ -224,12 +214,6 @@ pub struct TrainArgs {
     /// repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<OsString>,
-    /// Train this many times in sequence, with the configured seed and the seeds after it, each in a folder `seed-S`
-    /// inside the run's folder. The mean and standard deviation of the last evaluations are printed at the end;
-    /// `report` prints them again. After an interruption, the same command goes on with --run-dir and --auto-resume.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=100), allow_negative_numbers = true)]
-    #[arg(conflicts_with_all = ["resume", "listen"])]
-    pub seeds: Option<u64>,
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
     pub actors: Option<i64>,

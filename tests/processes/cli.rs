@@ -213,20 +213,13 @@ fn numbers_and_addresses_are_written_as_people_write_them() {
 }
 
 #[test]
-fn shells_and_man_know_the_commands() {
+fn shells_know_the_commands() {
     let folder = tempfile::tempdir().unwrap();
     for shell in ["bash", "zsh", "fish"] {
         let output = lodestone(folder.path(), &["completions", shell], &[]);
         let text = String::from_utf8(output.stdout).unwrap();
         assert!(text.contains("lodestone") && text.contains("evaluator"), "{shell}: {text}");
     }
-    let output = lodestone(folder.path(), &["man", "pages"], &[]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let page = |name: &str| std::fs::read_to_string(folder.path().join("pages").join(name)).unwrap();
-    assert!(page("lodestone.1").contains("magnet blocks"));
-    assert!(page("lodestone-train.1").contains("resume"));
-    assert!(page("lodestone-blueprints-show.1").contains("pictures"));
-    assert!(!folder.path().join("pages/lodestone-bench-load.1").exists(), "hidden commands have no page");
 }
 
 #[test]

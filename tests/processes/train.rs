@@ -229,33 +229,3 @@ fn weights_with_which_no_policy_can_act_are_refused_wherever_they_are_read() {
         assert!(!folder.path().join("out").exists(), "{args:?}");
     }
 }
-
-#[test]
-fn interrupted_seeds_go_on_with_the_command_that_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let seeds = |steps: &str, args: &[String]| {
-        let mut train = lodestone(folder.path());
-        train.env("LODESTONE_STEPS", steps).args(args).stdout(Stdio::piped()).stderr(Stdio::null());
-        train.spawn().unwrap()
-    };
-    let first: Vec<String> = ["train", "--seeds", "2"].iter().chain(&SMALL).map(|&arg| arg.to_owned()).collect();
-    let mut child = seeds("1000000000", &first);
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert!(lines.any(|line| line.contains("steps/s")));
-    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
-    let command = lines.find_map(|line| Some(line.split_once("continue all 2 seeds: ")?.1.to_owned())).unwrap();
-    assert!(child.wait().unwrap().success());
-
-    let run_dir = command.split(' ').skip_while(|word| *word != "--run-dir").nth(1).unwrap();
-    let run_dir = folder.path().join(run_dir);
-    let saved = n_saved_steps(&run_dir.join("seed-1"));
-    assert!(!run_dir.join("seed-2").exists());
-    let mut shell = Command::new("sh");
-    let continued = shell.args(["-c", &command]).env("LODESTONE_STEPS", (saved + 256).to_string());
-    let output = finished(continued.current_dir(folder.path()));
-    let printed = String::from_utf8_lossy(&output.stdout);
-    assert!(printed.contains("continuing `quickstart`") && printed.contains("seed 2, 2 of 2"), "{printed}");
-    for seed in ["seed-1", "seed-2"] {
-        assert!(n_saved_steps(&run_dir.join(seed)) >= saved + 256, "{seed}");
-    }
-}

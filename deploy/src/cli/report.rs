@@ -9,7 +9,7 @@ use render::plot::MAX_RUNS;
 /// Arguments of `report`.
 #[derive(Clone, Debug, Args)]
 pub struct ReportArgs {
-    /// Folder of a run, in which the evaluator keeps eval.db, or of a training with --seeds.
+    /// Folder of a run, in which the evaluator keeps eval.db.
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
     /// Folder for the pictures and tables; created if it does not exist [default: RUN/report].

@@ -16,7 +16,6 @@ mod record;
 mod render;
 mod report;
 mod router;
-mod seeds;
 mod serve;
 mod services;
 mod stage;
@@ -63,7 +62,6 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             completions::completions(&args, terminal);
             Ok(())
         }
-        Command::Man(args) => completions::man(&args, terminal),
         Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown)),
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
@@ -93,10 +91,8 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
             let given = [listen, actors, lockstep, keys, args.page.overrides()];
             let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
-            let of_first = args.seeds.map(|_| seeds::first_run(&args.run));
-            let origin = origin(of_first.as_ref().unwrap_or(&args.run), &args.config, &said)?;
-            let is_repeated = args.blueprint.is_empty() || args.seeds.is_some();
-            if let (Some(run), false) = (&origin.checkpoint, is_repeated) {
+            let origin = origin(&args.run, &args.config, &said)?;
+            if let (Some(run), false) = (&origin.checkpoint, args.blueprint.is_empty()) {
                 return Err(Failure::Usage(format!(
                     "--blueprint: the run in {} goes on with the goals that it began with; for others, start a run with \
                      `--init-from {} --blueprint …`",
@@ -115,12 +111,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
                 if args.end_with_stdin {
                     signals::cancel_with_stdin(shutdown.clone());
                 }
-                if let Some(n_seeds) = args.seeds {
-                    let summary = seeds::train(&settings, &args, &goals, n_seeds, &said, shutdown).await?;
-                    return if args.json { json(&summary, terminal) } else { Ok(()) };
-                }
-                let run_dir = args.run.run_dir.as_deref();
-                let summary = train::run(&settings, &args, &goals, run_dir, origin, &said, shutdown).await?;
+                let summary = train::run(&settings, &args, &goals, origin, &said, shutdown).await?;
                 if args.json { json(&summary, terminal) } else { Ok(()) }
             })
         }

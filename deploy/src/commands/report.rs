@@ -11,7 +11,6 @@ use serde_json::json;
 
 use super::files::{File, write_files};
 use super::names::{name, names};
-use super::seeds;
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -32,16 +31,6 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
         return Err(Failure::Usage(format!("--beside: a picture has room for {} runs besides RUN", MAX_RUNS - 1)));
     }
     check_exists(&args.run)?;
-    let seeds = seeds::runs_in(&args.run);
-    if !seeds.is_empty() && !RunPaths::new(args.run.clone()).history().exists() {
-        if args.minus.is_some() || !args.beside.is_empty() {
-            let run = args.run.display();
-            return Err(Failure::Usage(format!(
-                "--minus and --beside compare single runs, and {run} is a folder of several seeds: name one of its runs"
-            )));
-        }
-        return of_seeds(args, &seeds, terminal, stdout);
-    }
     let (acting, name) = (args.acting, name(&args.run));
     let all = history(&args.run)?;
     let passes = shown(&all, &args.run, terminal);
@@ -71,29 +60,6 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     }
     let n_passes = count(passes.len(), "evaluation");
     terminal.print(&format!("{n_passes} of {} drawn", count(grid.rows.len(), "blueprint")));
-    for (file, _) in files {
-        terminal.print(&format!("  {}", out.join(file).display()));
-    }
-    Ok(())
-}
-
-/// Reports on several seeds of one training: their curves in one plot, and mean and standard deviation of their last
-/// evaluations.
-fn of_seeds(args: &ReportArgs, seeds: &[PathBuf], terminal: &Terminal, stdout: &Terminal) -> Result<(), Failure> {
-    let spreads = seeds::spreads(&args.run)?;
-    let table = seeds::table(&spreads);
-    let mut files = vec![("seeds.md".to_owned(), table.clone().into_bytes())];
-    if let [first, others @ ..] = &seeds[..seeds.len().min(MAX_RUNS)] {
-        let args = ReportArgs { run: first.clone(), beside: others.to_vec(), ..args.clone() };
-        let all = history(first)?;
-        files.extend(comparison(&shown(&all, first, terminal), &args, terminal)?);
-    }
-    let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
-    write_files(&out, &files)?;
-    if args.json {
-        return super::json(&spreads, stdout);
-    }
-    terminal.print(&table);
     for (file, _) in files {
         terminal.print(&format!("  {}", out.join(file).display()));
     }

@@ -1,6 +1,6 @@
 //! `train`: learner, actors, and evaluator in this process, on its own bus.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use actor::ActorSetup;
@@ -45,12 +45,6 @@ pub(super) struct Summary {
     evaluation: Option<EvalSummary>,
 }
 
-impl Summary {
-    pub(super) fn is_complete(&self) -> bool {
-        self.is_complete
-    }
-}
-
 /// Trains until the configured number of steps is reached, a service fails, or `shutdown`.
 ///
 /// # Errors
@@ -59,7 +53,6 @@ pub(super) async fn run(
     settings: &Settings,
     args: &TrainArgs,
     goals: &TrainingGoals,
-    run_dir: Option<&Path>,
     origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
@@ -70,7 +63,7 @@ pub(super) async fn run(
     // Bind the page before writing anything, because the address may be taken.
     let page = page(config, args, terminal).await?;
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
-    let run_dir = services::run_dir(run_dir, settings, &setup, &origin)?;
+    let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, &origin)?;
     let preset = run_dir.preset().map(str::to_owned);
     let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
     let about = About { preset, ..services::about(settings, catalog, last_words) };
