@@ -20,6 +20,10 @@ fmt-fix:
 typos:
     .ci/run typos
 
+# Count what there is to read, beside its limits.
+house:
+    python3 lab/house.py
+
 # Check licenses, sources, and banned crates.
 deny:
     .ci/run deny

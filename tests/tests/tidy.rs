@@ -1,6 +1,6 @@
 //! Files are short and finished, and links between them are valid.
 
-use crate::repository::{files, members, read, root, shown};
+use crate::repository::{files, manifest, members, read, root, shown};
 
 /// A file has one subject; a longer one usually has two.
 const MAX_LINES: usize = 600;
@@ -82,5 +82,23 @@ fn links_between_documents_lead_somewhere() {
 fn the_licenses_that_the_manifests_name_are_there() {
     for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
         assert!(root().join(name).is_file(), "{name} is missing");
+    }
+}
+
+#[test]
+fn all_files_name_the_same_version() {
+    let version = |path: &str, section: &[&str]| {
+        let table = toml::Value::Table(manifest(&root().join(path)));
+        section.iter().fold(&table, |value, key| &value[*key])["version"].as_str().expect("a version").to_owned()
+    };
+    let expected = version("Cargo.toml", &["workspace", "package"]);
+    assert_eq!(version("python/Cargo.toml", &["package"]), expected);
+    for (file, line) in [
+        ("CITATION.cff", format!("version: {expected}\n")),
+        ("CHANGELOG.md", format!("## [Unreleased]\n\n## [{expected}] - ")),
+        ("deploy/kubernetes/base/pod.yaml", format!("image: lodestone:{expected}\n")),
+        ("deploy/kubernetes/components/gpu/learner.yaml", format!("image: lodestone-gpu:{expected}\n")),
+    ] {
+        assert!(read(&root().join(file)).contains(&line), "{file} does not contain {line:?}");
     }
 }
