@@ -285,7 +285,7 @@ impl RunView {
             keys::METRICS_EVAL_SUMMARY => {
                 let value: EvalSummary = parse(value)?;
                 for group in value.groups.iter().chain([&value.all]) {
-                    believe(rates(&group.sampled).into_iter().chain(rates(&group.mode)))?;
+                    believe(rates(&group.sampled).into_iter().chain(rates(&group.greedy)))?;
                 }
                 let is_news = update(&mut self.evaluation, value, at);
                 if let Some(heard) = self.evaluation.as_ref().filter(|_| is_news) {
@@ -307,7 +307,7 @@ impl RunView {
             _ if suffix.starts_with("eval/") => {
                 let value: EvalBlueprint = parse(value)?;
                 is_key(suffix, &keys::metrics_eval(value.split, &value.blueprint))?;
-                believe(rates(&value.sampled).into_iter().chain(rates(&value.mode)))?;
+                believe(rates(&value.sampled).into_iter().chain(rates(&value.greedy)))?;
                 if !self.blueprints.contains_key(&value.blueprint) && self.blueprints.len() >= MAX_BLUEPRINTS {
                     return Err(Refusal::Limit);
                 }

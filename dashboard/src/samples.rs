@@ -40,7 +40,7 @@ pub(crate) fn actor(id: &str) -> MetricsSample {
 pub(crate) fn blueprint(id: &str, n_successes: u64) -> MetricsSample {
     let mut blueprint = sample(&format!("eval/train/{id}"), include_str!("../tests/metrics/eval-blueprint.json"));
     blueprint.value["blueprint"] = id.into();
-    let success = &mut blueprint.value["mode"]["success"];
+    let success = &mut blueprint.value["greedy"]["success"];
     success["n_successes"] = n_successes.into();
     success["rate"] = (n_successes as f64 / 40.0).into();
     blueprint

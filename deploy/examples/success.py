@@ -4,7 +4,7 @@ Usage: pip install eclipse-zenoh; python success.py tcp/127.0.0.1:7447 [--run NA
        python success.py quic/127.0.0.1:7447 --keys KEYS [--run NAME] [--once | --history]
 
 Requires a router (`lodestone router --listen tcp/127.0.0.1:7447`) and an evaluator that publishes summaries. For each
-summary, prints one line per group for greedy ("mode") and one for sampled actions. docs/metrics.md describes the JSON
+summary, prints one line per group for greedy and one for sampled actions. docs/metrics.md describes the JSON
 fields.
 """
 
@@ -19,13 +19,13 @@ SCHEMA_VERSION = 2
 
 
 def lines(summary):
-    """Yields lines per group for greedy ("mode") and sampled actions, or a warning if the schema is not supported."""
+    """Yields lines per group for greedy and sampled actions, or a warning if the schema is not supported."""
     if summary["schema_version"] != SCHEMA_VERSION:
         yield f"schema version {summary['schema_version']} is not {SCHEMA_VERSION}; fetch a newer success.py"
         return
     progress = "" if summary["is_complete"] else " so far"
     for group in [*summary["groups"], summary["all"]]:
-        for acting in ("mode", "sampled"):
+        for acting in ("greedy", "sampled"):
             success = group[acting]["success"]
             if success["n_episodes"]:
                 yield (

@@ -40,10 +40,10 @@ def learner_values(update):
 
 
 def eval_values(summary):
-    """Yields the success per group for greedy ("mode") and sampled actions, named as in TensorBoard."""
+    """Yields the success per group for greedy and sampled actions, named as in TensorBoard."""
     for group in [*summary["groups"], summary["all"]]:
         name = group["name"].replace(" ", "-")
-        for acting in ("mode", "sampled"):
+        for acting in ("greedy", "sampled"):
             outcome = group[acting]
             if outcome["success"]["n_episodes"]:
                 yield f"success-{acting}/{name}", outcome["success"]["rate"]

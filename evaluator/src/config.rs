@@ -56,7 +56,7 @@ settings! {
         pub randomization: bool = false;
         /// Action modes.
         pub acting: Vec<ActionMode> = vec![ActionMode::Greedy, ActionMode::Sampled],
-            where |c| !c.acting.is_empty() && are_distinct(&c.acting) => "\"mode\", \"sampled\" or both";
+            where |c| !c.acting.is_empty() && are_distinct(&c.acting) => "\"greedy\", \"sampled\" or both";
         /// Number of threads. By default, training loses at most one core while an evaluation runs.
         pub n_threads: usize = 1, in 1..=64;
         /// Worlds per thread; each step is one forward pass over all of them.
@@ -276,7 +276,7 @@ mod tests {
             ),
             (
                 EvaluatorConfig { episodes: twice, ..Default::default() },
-                "evaluator.episodes.acting = [\"mode\", \"mode\"]: expected \"mode\", \"sampled\" or both",
+                "evaluator.episodes.acting = [\"greedy\", \"greedy\"]: expected \"greedy\", \"sampled\" or both",
             ),
             (
                 EvaluatorConfig {

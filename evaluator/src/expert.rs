@@ -126,7 +126,7 @@ pub fn evaluate_expert_followed(
         Err(EvalError::Interrupted) => (tally.into_episodes(), None, false),
         Err(error) => return Err(error),
     };
-    let reset_free = reset_free.map(|r| ExpertResetFree { n_runs: r.n_runs, n_goals: r.n_goals, runs: r.mode });
+    let reset_free = reset_free.map(|r| ExpertResetFree { n_runs: r.n_runs, n_goals: r.n_goals, runs: r.greedy });
     Ok(report(&episodes, reset_free, diaries, is_complete))
 }
 
@@ -141,7 +141,7 @@ fn report(
     let EvalReport { summary, blueprints } = summarize(WeightsVersion(0), 0, episodes);
     let blueprints: Vec<ExpertBlueprint> = blueprints
         .into_iter()
-        .map(|b| ExpertBlueprint { blueprint: b.blueprint, split: b.split, n_blocks: b.n_blocks, outcome: b.mode })
+        .map(|b| ExpertBlueprint { blueprint: b.blueprint, split: b.split, n_blocks: b.n_blocks, outcome: b.greedy })
         .collect();
     let n_built = |name: &str| {
         let built = |b: &&ExpertBlueprint| b.outcome.success.n_successes > 0;
@@ -154,7 +154,7 @@ fn report(
         name: g.name.clone(),
         n_blueprints: g.n_blueprints,
         n_built: n_built(&g.name),
-        outcome: g.mode,
+        outcome: g.greedy,
     });
     let groups = groups.collect();
     let (failures, successes) = diaries.into_replays();

@@ -92,7 +92,7 @@ fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
     let was_evaluated = |outcome: &EvalOutcome| outcome.success.n_episodes > 0;
     let mut scalars = Vec::new();
     for group in [&report.summary.all].into_iter().chain(&report.summary.groups) {
-        for (acting, outcome) in [(ActionMode::Greedy, &group.mode), (ActionMode::Sampled, &group.sampled)] {
+        for (acting, outcome) in [(ActionMode::Greedy, &group.greedy), (ActionMode::Sampled, &group.sampled)] {
             let (acting, group) = (acting.name(), group.name.replace(' ', "-"));
             if was_evaluated(outcome) {
                 scalars.push((format!("success-{acting}/{group}"), outcome.success.rate));
@@ -101,7 +101,7 @@ fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
         }
     }
     for score in &report.blueprints {
-        for (acting, outcome) in [(ActionMode::Greedy, &score.mode), (ActionMode::Sampled, &score.sampled)] {
+        for (acting, outcome) in [(ActionMode::Greedy, &score.greedy), (ActionMode::Sampled, &score.sampled)] {
             if was_evaluated(outcome) {
                 scalars.push((format!("{}-{}/{}", score.split, acting.name(), score.blueprint), outcome.success.rate));
             }

@@ -65,7 +65,7 @@ pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[
             split,
             n_blocks: n_blocks as u64,
             sampled: outcome(&episodes, ActionMode::Sampled),
-            mode: outcome(&episodes, ActionMode::Greedy),
+            greedy: outcome(&episodes, ActionMode::Greedy),
         };
     let summary = EvalSummary {
         schema_version: METRICS_SCHEMA_VERSION,
@@ -124,7 +124,7 @@ fn score_group(name: &str, episodes: &[&EpisodeResult]) -> EvalGroup {
         name: name.to_owned(),
         n_blueprints: ids.len() as u64,
         sampled: outcome(episodes, ActionMode::Sampled),
-        mode: outcome(episodes, ActionMode::Greedy),
+        greedy: outcome(episodes, ActionMode::Greedy),
     }
 }
 
@@ -169,9 +169,9 @@ mod tests {
         let ids: Vec<&str> = report.blueprints.iter().map(|score| score.blueprint.as_str()).collect();
         assert_eq!(ids, ["2_000", "3_000", "10_000"]);
         let groups: Vec<_> =
-            report.summary.groups.iter().map(|g| (g.name.as_str(), g.n_blueprints, g.mode.success.rate)).collect();
+            report.summary.groups.iter().map(|g| (g.name.as_str(), g.n_blueprints, g.greedy.success.rate)).collect();
         assert_eq!(groups, [("train 2-6", 2, 0.5), ("train 7-11", 1, 0.0)]);
         let all = &report.summary.all;
-        assert_eq!((all.n_blueprints, all.mode.success.n_episodes, all.sampled.success.n_episodes), (3, 3, 1));
+        assert_eq!((all.n_blueprints, all.greedy.success.n_episodes, all.sampled.success.n_episodes), (3, 3, 1));
     }
 }

@@ -37,7 +37,7 @@ where
         ended?;
         let runs = count(&runs, acting);
         match acting {
-            ActionMode::Greedy => found.mode = runs,
+            ActionMode::Greedy => found.greedy = runs,
             ActionMode::Sampled => found.sampled = runs,
         }
     }

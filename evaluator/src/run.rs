@@ -325,7 +325,7 @@ impl Evaluated {
     fn before(pass: &Pass, setup: &EvaluatorSetup, selected: &Selected) -> Option<Self> {
         let EpisodeConfig { n_episodes, acting, .. } = &setup.config.episodes;
         let n_episodes_of = |score: &EvalBlueprint, acting| match acting {
-            ActionMode::Greedy => score.mode.success.n_episodes,
+            ActionMode::Greedy => score.greedy.success.n_episodes,
             ActionMode::Sampled => score.sampled.success.n_episodes,
         };
         let has = |blueprint: &&Blueprint| {

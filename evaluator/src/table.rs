@@ -46,7 +46,7 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
         text.words("interrupted: only the episodes that had ended count".to_owned());
     }
     let of_blueprint = |text: &mut Table, score: &EvalBlueprint| {
-        text.lines(&format!("{} {}", score.split, score.blueprint), &score.mode, &score.sampled);
+        text.lines(&format!("{} {}", score.split, score.blueprint), &score.greedy, &score.sampled);
     };
     if let [one] = &report.blueprints[..] {
         text.header("blueprint");
@@ -56,15 +56,16 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
         let all = (summary.groups.len() != 1).then_some(&summary.all);
         for group in summary.groups.iter().chain(all) {
             let name = format!("{} ({})", group.name, group.n_blueprints);
-            text.lines(&name, &group.mode, &group.sampled);
+            text.lines(&name, &group.greedy, &group.sampled);
         }
     }
     if let Some(runs) = &summary.reset_free {
         let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
-        text.lines(&name, &runs.mode.outcome, &runs.sampled.outcome);
+        text.lines(&name, &runs.greedy.outcome, &runs.sampled.outcome);
     }
     let rate = |score: &EvalBlueprint| {
-        let evaluated = [score.mode.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
+        let evaluated =
+            [score.greedy.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
         evaluated.map_or(0.0, |success| success.rate)
     };
     if report.blueprints.len() != 1 {
@@ -175,8 +176,8 @@ impl Table {
     }
 
     /// Adds a line for each evaluated action mode.
-    fn lines(&mut self, name: &str, mode: &EvalOutcome, sampled: &EvalOutcome) {
-        for (acting, outcome) in [("greedy", mode), ("sampled", sampled)] {
+    fn lines(&mut self, name: &str, greedy: &EvalOutcome, sampled: &EvalOutcome) {
+        for (acting, outcome) in [("greedy", greedy), ("sampled", sampled)] {
             if outcome.success.n_episodes > 0 {
                 self.line(name, acting, outcome);
             }
@@ -258,10 +259,10 @@ mod tests {
         let mut table = Table::default();
         table.words("words of any length do not count, however long they may be".to_owned());
         table.header("group");
-        table.line("test-tallest tallest_16_000", "mode", &EvalOutcome::default());
+        table.line("test-tallest tallest_16_000", "greedy", &EvalOutcome::default());
         let text = table.render();
         let columns = |word: &str| text.lines().find_map(|line| line.find(word)).unwrap();
-        assert_eq!((columns("actions"), columns("mode")), (28, 28), "{text}");
+        assert_eq!((columns("actions"), columns("greedy")), (28, 28), "{text}");
     }
 
     #[test]

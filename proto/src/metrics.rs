@@ -247,7 +247,7 @@ pub struct EvalBlueprint {
     /// Results with actions sampled from the policy.
     pub sampled: EvalOutcome,
     /// Results with the most probable action.
-    pub mode: EvalOutcome,
+    pub greedy: EvalOutcome,
 }
 
 /// Results of episodes with one action mode.
@@ -332,7 +332,7 @@ pub struct EvalGroup {
     /// Results with actions sampled from the policy.
     pub sampled: EvalOutcome,
     /// Results with the most probable action.
-    pub mode: EvalOutcome,
+    pub greedy: EvalOutcome,
 }
 
 /// Goals evaluated one after the other without resets in between (paper, section "Reset-Free Evaluation").
@@ -345,7 +345,7 @@ pub struct EvalResetFree {
     /// Results with actions sampled from the policy.
     pub sampled: EvalRuns,
     /// Results with the most probable action.
-    pub mode: EvalRuns,
+    pub greedy: EvalRuns,
 }
 
 /// Results of reset-free runs with one action mode.

@@ -45,7 +45,6 @@ pub struct RewardTerms {
 pub enum ActionMode {
     /// Greedy: the most probable block and the mean move.
     #[default]
-    #[serde(rename = "mode", alias = "greedy")]
     Greedy,
     /// Sampled, as in training. The noise alone can undo a snap, so this underestimates a policy.
     Sampled,
@@ -53,24 +52,20 @@ pub enum ActionMode {
 
 /// A text that is not an action mode.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a way of acting: expected greedy (or mode) or sampled")]
+#[error("{0:?} is not a way of acting: expected greedy or sampled")]
 pub struct InvalidActionMode(pub String);
 
-/// The word for people, `greedy` or `sampled`.
 impl std::fmt::Display for ActionMode {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Greedy => "greedy",
-            Self::Sampled => "sampled",
-        })
+        f.write_str(self.name())
     }
 }
 
 impl ActionMode {
-    /// Returns the name for programs, as in JSON and CSV: `mode` or `sampled`.
+    /// Returns the name: `greedy` or `sampled`.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Greedy => "mode",
+            Self::Greedy => "greedy",
             Self::Sampled => "sampled",
         }
     }
@@ -81,7 +76,7 @@ impl std::str::FromStr for ActionMode {
 
     fn from_str(text: &str) -> Result<Self, InvalidActionMode> {
         match text {
-            "mode" | "greedy" => Ok(Self::Greedy),
+            "greedy" => Ok(Self::Greedy),
             "sampled" => Ok(Self::Sampled),
             _ => Err(InvalidActionMode(text.to_owned())),
         }

@@ -65,7 +65,7 @@ pub struct GroupView {
     pub name: &'static str,
     n_blueprints: usize,
     /// Success rate with greedy actions; `None` if not evaluated.
-    pub mode: Option<SuccessRate>,
+    pub greedy: Option<SuccessRate>,
     /// Success rate with sampled actions; `None` if not evaluated.
     pub sampled: Option<SuccessRate>,
 }
@@ -84,7 +84,7 @@ struct BlueprintView<'p> {
 struct PassView<'p> {
     #[serde(flatten)]
     head: &'p Head,
-    mode: Vec<Option<Counts>>,
+    greedy: Vec<Option<Counts>>,
     sampled: Vec<Option<Counts>>,
 }
 
@@ -123,8 +123,8 @@ impl Passes {
     /// Returns successes and episodes of the newest evaluation, as `(blueprint, action mode, counts)`.
     pub fn newest(&self) -> impl Iterator<Item = (&Row, ActionMode, Counts)> {
         let rates = self.kept.last().into_iter().flat_map(|pass| &pass.rates);
-        rates.flat_map(|(row, [mode, sampled])| {
-            let both = [(ActionMode::Greedy, *mode), (ActionMode::Sampled, *sampled)];
+        rates.flat_map(|(row, [greedy, sampled])| {
+            let both = [(ActionMode::Greedy, *greedy), (ActionMode::Sampled, *sampled)];
             both.into_iter().filter_map(move |(acting, counts)| Some((row, acting, counts?)))
         })
     }
@@ -145,7 +145,7 @@ impl Passes {
         let passes = self.kept.iter();
         PassesView {
             passes: passes
-                .map(|pass| PassView { head: &pass.head, mode: counts(pass, 0), sampled: counts(pass, 1) })
+                .map(|pass| PassView { head: &pass.head, greedy: counts(pass, 0), sampled: counts(pass, 1) })
                 .collect(),
             blueprints: rows.iter().map(|row| BlueprintView::new(row)).collect(),
             n_left_out: self.n_left_out,
@@ -167,21 +167,21 @@ impl Kept {
                 (row, [of(score, ActionMode::Greedy), of(score, ActionMode::Sampled)])
             })
             .collect();
-        let (mode, sampled) = (group_rates(pass, ActionMode::Greedy), group_rates(pass, ActionMode::Sampled));
+        let (greedy, sampled) = (group_rates(pass, ActionMode::Greedy), group_rates(pass, ActionMode::Sampled));
         let mut names: Vec<Group> = pass.blueprints.iter().filter_map(group_of).collect();
         names.sort();
         names.dedup();
         let group = |group: &Group| {
             let n_blueprints = pass.blueprints.iter().filter(|score| group_of(score) == Some(*group)).count();
             let rate = |rates: &BTreeMap<Group, (SuccessRate, usize)>| rates.get(group).map(|(rate, _)| *rate);
-            GroupView { name: group.name(), n_blueprints, mode: rate(&mode), sampled: rate(&sampled) }
+            GroupView { name: group.name(), n_blueprints, greedy: rate(&greedy), sampled: rate(&sampled) }
         };
         let sum = |place: usize| {
             let all = rates.values().filter_map(|counts| counts[place]);
             all.reduce(|[hits, n], [more_hits, more]| [hits + more_hits, n + more])
                 .map(|[hits, n]| SuccessRate::new(hits, n))
         };
-        let all = GroupView { name: "all", n_blueprints: rates.len(), mode: sum(0), sampled: sum(1) };
+        let all = GroupView { name: "all", n_blueprints: rates.len(), greedy: sum(0), sampled: sum(1) };
         let head = Head {
             ended_unix_ms: pass.ended_unix_ms,
             elapsed_s: pass.elapsed_s,
@@ -228,8 +228,8 @@ mod tests {
                 { "id": "7_000", "split": "train", "n_blocks": 7, "group": "train 7-11" },
             ])
         );
-        assert_eq!(view["passes"][0]["mode"], json!([[0, 10], null, null]));
-        assert_eq!(view["passes"][1]["mode"], json!([[4, 10], [5, 10], [10, 10]]));
+        assert_eq!(view["passes"][0]["greedy"], json!([[0, 10], null, null]));
+        assert_eq!(view["passes"][1]["greedy"], json!([[4, 10], [5, 10], [10, 10]]));
         assert_eq!(view["passes"][1]["sampled"], json!([null, null, null]));
         // 9 of 20: z² = 3.8415, center (0.45 + z²/40) / (1 + z²/20) = 0.4581, half width 0.2003.
         let group = &view["passes"][1]["groups"][0];
@@ -237,11 +237,11 @@ mod tests {
             (&group["name"], &group["n_blueprints"], &group["sampled"]),
             (&json!("train 2-6"), &json!(2), &json!(null))
         );
-        assert_eq!((&group["mode"]["n_successes"], &group["mode"]["n_episodes"]), (&json!(9), &json!(20)));
-        let low = group["mode"]["wilson_low"].as_f64().unwrap();
+        assert_eq!((&group["greedy"]["n_successes"], &group["greedy"]["n_episodes"]), (&json!(9), &json!(20)));
+        let low = group["greedy"]["wilson_low"].as_f64().unwrap();
         assert!((low - 0.2582).abs() < 5e-4, "{low}");
         let all = &view["passes"][1]["all"];
-        assert_eq!((&all["n_blueprints"], &all["mode"]["n_successes"]), (&json!(3), &json!(19)));
+        assert_eq!((&all["n_blueprints"], &all["greedy"]["n_successes"]), (&json!(3), &json!(19)));
     }
 
     #[test]

@@ -59,7 +59,7 @@ pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
 /// Returns the outcome for one action mode; `None` if it was not evaluated.
 pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutcome> {
     let outcome = match acting {
-        ActionMode::Greedy => &score.mode,
+        ActionMode::Greedy => &score.greedy,
         ActionMode::Sampled => &score.sampled,
     };
     (outcome.success.n_episodes > 0).then_some(outcome)
@@ -209,7 +209,7 @@ mod tests {
         let all =
             passes(&[(0, 0, None), (100, 1, None), (200, 2, None), (300, 3, None), (150, 4, None), (200, 5, None)]);
         let kept: Vec<(u64, u64)> =
-            lineage(&all).iter().map(|p| (p.n_env_steps, p.blueprints[0].mode.success.n_successes)).collect();
+            lineage(&all).iter().map(|p| (p.n_env_steps, p.blueprints[0].greedy.success.n_successes)).collect();
         assert_eq!(kept, [(0, 0), (100, 1), (150, 4), (200, 5)]);
         assert_eq!(lineage(&[]), [] as [&Pass; 0]);
     }

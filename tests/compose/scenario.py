@@ -142,7 +142,7 @@ class Scenario:
 
     def tells_success(self) -> str:
         self.ring.copy("keys", "/keys/viewer", self.folder)
-        success = bus.success(self.endpoint, self.keys, PRESET, 120)["all"]["mode"]["success"]
+        success = bus.success(self.endpoint, self.keys, PRESET, 120)["all"]["greedy"]["success"]
         return f"{success['n_successes']} of {success['n_episodes']} episodes"
 
     def scales(self) -> str:
@@ -218,7 +218,7 @@ class Scenario:
 
     def succeeds(self) -> str:
         def often() -> str:
-            success = bus.success(self.endpoint, self.keys, PRESET, 60)["all"]["mode"]["success"]
+            success = bus.success(self.endpoint, self.keys, PRESET, 60)["all"]["greedy"]["success"]
             if success["rate"] < 0.5:
                 raise Failed(f"a rate of {success['rate']}")
             return f"{success['n_successes']} of {success['n_episodes']} episodes"

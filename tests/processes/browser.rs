@@ -121,7 +121,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     let shown: Vec<String> = serde_json::from_value(shown).unwrap();
     let version: u64 = shown[0].split(['s', ',']).find_map(|word| word.trim().parse().ok()).unwrap();
     let pass = watched.passes().into_iter().find(|pass| pass.weights_version.0 == version).unwrap();
-    let success = pass.blueprints[0].mode.success;
+    let success = pass.blueprints[0].greedy.success;
     assert_eq!((pass.blueprints.len(), success.n_episodes), (1, 2));
     let interval = format!("{} to {}", percent(success.wilson_low), percent(success.wilson_high));
     let expected = ["all", "1", &percent(success.rate), &interval, "2", "–", "–", "–"];
@@ -131,7 +131,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     browser.element("#heat").press(RIGHT);
     let told = browser.text("#heat-cell");
     let is_told = |pass: &Pass| {
-        let success = pass.blueprints[0].mode.success;
+        let success = pass.blueprints[0].greedy.success;
         let words = format!("{} of {} episodes ({})", success.n_successes, success.n_episodes, percent(success.rate));
         told.starts_with("2_000, train, 2 blocks, after ") && told.ends_with(&words)
     };

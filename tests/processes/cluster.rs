@@ -68,7 +68,7 @@ impl Cluster {
     fn success_rate(&self) -> f64 {
         let judged = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
         let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
-        report["summary"]["all"]["mode"]["success"]["rate"].as_f64().unwrap()
+        report["summary"]["all"]["greedy"]["success"]["rate"].as_f64().unwrap()
     }
 
     fn n_saved_steps(&self) -> u64 {
@@ -164,11 +164,11 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     };
     let version = |line: &serde_json::Value| line["weights_version"] == told["weights_version"];
     assert_eq!(told, record("eval/summary", "judged/metrics.jsonl", &version));
-    assert!(told["all"]["mode"]["success"]["n_episodes"].as_u64().unwrap() > 0);
+    assert!(told["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
 
     let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--history"]);
     let pass = history["passes"].as_array().unwrap().iter().find(|pass| version(pass)).unwrap();
-    assert_eq!(pass["all"]["mode"], told["all"]["mode"]["success"]);
+    assert_eq!(pass["all"]["greedy"], told["all"]["greedy"]["success"]);
 
     // Event files store 32-bit floats.
     let same = |number: &serde_json::Value, recorded: &serde_json::Value| {
@@ -182,7 +182,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let plotted = told_by(&python, "scalars.py", &[&path("judged/tb/evaluator")]);
     let [step, success] = [0, 1].map(|i| &plotted["success-mode/all"][0][i]);
     let summary = record("eval/summary", "judged/metrics.jsonl", &|line| line["n_env_steps"] == *step);
-    same(success, &summary["all"]["mode"]["success"]["rate"]);
+    same(success, &summary["all"]["greedy"]["success"]["rate"]);
 }
 
 #[test]

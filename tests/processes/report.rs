@@ -29,7 +29,7 @@ fn write_run(run: &Path, ids: &[&str], steps: &[u64]) {
             split: Split::Train,
             n_blocks: 2,
             sampled: EvalOutcome::default(),
-            mode: EvalOutcome { success: SuccessRate::new(4, 4), ..EvalOutcome::default() },
+            greedy: EvalOutcome { success: SuccessRate::new(4, 4), ..EvalOutcome::default() },
         };
         let blueprints = ids.iter().map(score).collect();
         let (ended_unix_ms, elapsed_s, seed) = (1_767_225_600_000, 2.5, 1);

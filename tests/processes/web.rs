@@ -28,7 +28,7 @@ fn a_page_shows_a_run_while_it_lasts() {
     assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
     let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
     assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"2_000".into()));
-    assert_eq!(history["passes"][0]["all"]["mode"]["n_episodes"], 2);
+    assert_eq!(history["passes"][0]["all"]["greedy"]["n_episodes"], 2);
     assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"near-goal\",role=\"actor\"} 1.0\n"));
 
     interrupt(&run);
@@ -72,7 +72,7 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     let version = samples("eval_weights_version", "gauge")[""];
     let passes = History::read(&RunPaths::new(folder.path().join("run")).history()).unwrap();
     let pass = passes.iter().find(|pass| pass.weights_version.0 as f64 == version).unwrap();
-    let success = pass.blueprints[0].mode.success;
+    let success = pass.blueprints[0].greedy.success;
     assert_eq!(of_all("eval_group_success_ratio"), success.rate);
     assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
     assert_eq!(samples("eval_group_episodes", "gauge")["mode train 2-6"], success.n_episodes as f64);

@@ -106,7 +106,7 @@ class Launched:
 
     def success(self, n_passes: int) -> float:
         """Returns the lowest success rate in the evaluator's last passes, or 0 if there are too few passes."""
-        rates = [float(found["all"]["mode"]["success"]["rate"]) for found in self.metrics("eval/summary")]
+        rates = [float(found["all"]["greedy"]["success"]["rate"]) for found in self.metrics("eval/summary")]
         return min(rates[-n_passes:]) if len(rates) >= n_passes else 0.0
 
     def sampled_success(self) -> float:
@@ -145,7 +145,7 @@ class Launched:
         """Returns the success rate of the run's policy according to `lodestone eval`."""
         judge = [str(self.binary), "eval", "--checkpoint", str(self.folder / "run"), "--json"]
         report = json.loads(subprocess.run(judge, capture_output=True, check=True).stdout)
-        return float(report["summary"]["all"]["mode"]["success"]["rate"])
+        return float(report["summary"]["all"]["greedy"]["success"]["rate"])
 
 
 def partitions() -> list[str]:

@@ -72,7 +72,7 @@ impl Ring {
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
         let report = evaluate(&setup, &self.config.policy, &self.learner.weights(), &blueprints, &|| true).unwrap();
         let all = report.summary.all;
-        if all.mode.success.n_episodes > 0 { all.mode.success.rate } else { all.sampled.success.rate }
+        if all.greedy.success.n_episodes > 0 { all.greedy.success.rate } else { all.sampled.success.rate }
     }
 }
 

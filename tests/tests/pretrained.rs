@@ -61,7 +61,7 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
     let found: Vec<(&str, Option<u16>)> = report
         .blueprints
         .iter()
-        .map(|score| (score.blueprint.as_str(), score.mode.mean_steps_to_success.map(|steps| steps as u16)))
+        .map(|score| (score.blueprint.as_str(), score.greedy.mean_steps_to_success.map(|steps| steps as u16)))
         .collect();
     if is_same_arithmetic() {
         assert_eq!(found, SAMPLE);

@@ -13,8 +13,8 @@ async fn plain_zenoh_session_reads_metrics() {
     let cluster = Cluster::start().await;
     let evaluator = cluster.client().await;
     let publisher = evaluator.metrics_publisher(keys::METRICS_EVAL_SUMMARY).await.unwrap();
-    let mode = EvalOutcome { success: SuccessRate::new(36, 40), ..EvalOutcome::default() };
-    let group = EvalGroup { n_blueprints: 1, mode, ..EvalGroup::default() };
+    let greedy = EvalOutcome { success: SuccessRate::new(36, 40), ..EvalOutcome::default() };
+    let group = EvalGroup { n_blueprints: 1, greedy, ..EvalGroup::default() };
     publisher.put(&group).await.unwrap();
 
     // A query returns the latest value, although there was no subscriber when it was published.
@@ -34,7 +34,7 @@ async fn plain_zenoh_session_reads_metrics() {
     assert_eq!(sample.key_expr().as_str(), "lodestone/default/metrics/eval/summary");
     let value: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
     assert_eq!(value["n_blueprints"], json!(1));
-    assert_eq!(value["mode"]["success"]["rate"], json!(0.9));
+    assert_eq!(value["greedy"]["success"]["rate"], json!(0.9));
     assert_eq!(serde_json::from_value::<EvalGroup>(value).unwrap(), group);
 }
 

@@ -54,7 +54,7 @@ fn what_cannot_be_shown_is_counted_by_reason() {
     check_refused(samples::learner(), |s| s.value["ppo"] = Value::Null, unreadable);
     check_refused(samples::learner(), |s| s.value["n_env_steps"] = (-1).into(), unreadable);
     // More successes than episodes, and a rate above 1.
-    check_refused(samples::evaluation(), |s| s.value["all"]["mode"]["success"]["n_episodes"] = 59.into(), unreadable);
+    check_refused(samples::evaluation(), |s| s.value["all"]["greedy"]["success"]["n_episodes"] = 59.into(), unreadable);
     check_refused(
         samples::evaluation(),
         |s| s.value["groups"][0]["sampled"]["success"]["rate"] = 1.5.into(),

@@ -45,7 +45,7 @@ impl Trends {
         if !summary.is_complete {
             return;
         }
-        let success = [&summary.all.mode.success, &summary.all.sampled.success];
+        let success = [&summary.all.greedy.success, &summary.all.sampled.success];
         push(
             &mut self.evaluated,
             success.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate),

@@ -99,7 +99,7 @@ fn success(page: &mut Scrape, state: &State) {
     let groups = last.into_iter().flat_map(|pass| pass.groups.iter().chain([&pass.all]));
     let rates: Vec<(Labels, SuccessRate)> = groups
         .flat_map(|group| {
-            let both = [(ActionMode::Greedy, group.mode), (ActionMode::Sampled, group.sampled)];
+            let both = [(ActionMode::Greedy, group.greedy), (ActionMode::Sampled, group.sampled)];
             both.into_iter().filter_map(|(acting, rate)| {
                 Some((vec![label("group", group.name), label("acting", acting.name())], rate?))
             })

@@ -99,7 +99,7 @@ fn update(learner: &LearnerMetrics) -> String {
 /// Success over all blueprints of a report: of greedy actions, or of sampled ones if no greedy episodes were run.
 pub(super) fn success(report: &EvalReport) -> Option<f64> {
     let all = &report.summary.all;
-    let rates = [all.mode.success, all.sampled.success];
+    let rates = [all.greedy.success, all.sampled.success];
     rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
 }
 

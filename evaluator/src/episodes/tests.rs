@@ -66,7 +66,7 @@ fn the_same_weights_get_the_same_report() {
     assert_eq!(first, report(&setup, 2));
     let summary = &first.summary;
     assert_eq!((summary.weights_version, summary.n_env_steps, summary.seed), (WeightsVersion(2), 77, 3));
-    let n_episodes = [summary.all.mode.success.n_episodes, summary.all.sampled.success.n_episodes];
+    let n_episodes = [summary.all.greedy.success.n_episodes, summary.all.sampled.success.n_episodes];
     assert_eq!((n_episodes, first.blueprints.len()), ([6, 6], 2));
 }
 
@@ -79,7 +79,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let observer = None::<&EpisodeSelector>;
     let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
     let whole = evaluate_in_parts(&pool, &weights(), &blueprints, &mut |part| parts.push(part)).unwrap();
-    let n_episodes = |report: &EvalReport| report.summary.all.mode.success.n_episodes;
+    let n_episodes = |report: &EvalReport| report.summary.all.greedy.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
     assert!(parts.iter().all(|part| part.summary.n_planned == 124 && !part.summary.is_complete));
@@ -116,7 +116,7 @@ fn what_an_interrupted_evaluation_found_is_reported() {
     };
     let report = evaluate_followed(&setup, &small_policy(), &weights(), &blueprints(1), &follower, None).unwrap();
     let summary = &report.summary;
-    assert_eq!((summary.is_complete, summary.n_planned, summary.all.mode.success.n_episodes), (false, 3, 2));
+    assert_eq!((summary.is_complete, summary.n_planned, summary.all.greedy.success.n_episodes), (false, 3, 2));
 }
 
 #[test]
@@ -157,7 +157,7 @@ fn reset_free_runs_count_every_goal() {
     setup.reset_free = Some(ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 });
     let runs = report(&setup, 1).summary.reset_free.unwrap();
     assert_eq!((runs.n_runs, runs.n_goals), (2, 3));
-    assert_eq!((runs.mode.outcome.success.n_episodes, runs.mode.n_successes_by_goal.len()), (6, 3));
+    assert_eq!((runs.greedy.outcome.success.n_episodes, runs.greedy.n_successes_by_goal.len()), (6, 3));
     assert_eq!(runs.sampled.outcome.success.n_episodes, 0);
     setup.reset_free = Some(ResetFreeConfig { min_blocks: 17, ..Default::default() });
     let result = evaluate(&setup, &small_policy(), &weights(), &blueprints(1), &|| true);

@@ -127,14 +127,14 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
         let sample = within(summaries.recv()).await.unwrap();
         let summary: EvalSummary = serde_json::from_value(sample.value).unwrap();
         assert_eq!(summary.n_planned, 45);
-        progress.push((summary.is_complete, summary.all.mode.success.n_episodes));
+        progress.push((summary.is_complete, summary.all.greedy.success.n_episodes));
     }
     assert_eq!(progress, [(false, 32), (true, 45)]);
     assert!(counted.borrow().is_none(), "nothing is under way");
     stop.now.cancel();
     within(service).await.unwrap().unwrap();
     // The caller's channel receives complete evaluations, and a partial one only if it is interrupted.
-    assert_eq!(seen.borrow().as_ref().unwrap().summary.all.mode.success.n_episodes, 45);
+    assert_eq!(seen.borrow().as_ref().unwrap().summary.all.greedy.success.n_episodes, 45);
     bus.close().await;
 }
 
@@ -208,7 +208,7 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let report = seen.borrow().clone().unwrap();
     assert!(!report.summary.is_complete);
     assert_eq!(report.summary.n_planned, 40);
-    let n_told = report.summary.all.mode.success.n_episodes;
+    let n_told = report.summary.all.greedy.success.n_episodes;
     assert!((n_ended..40).contains(&n_told), "{n_told} after {n_ended}");
     bus.close().await;
 }

@@ -44,7 +44,7 @@ pub fn rows(pass: &Pass) -> Vec<GroupRow> {
     }
     if let Some(runs) = &pass.reset_free {
         let n_goals = usize::try_from(runs.n_goals).unwrap_or(usize::MAX);
-        for (acting, runs) in [(ActionMode::Greedy, &runs.mode), (ActionMode::Sampled, &runs.sampled)] {
+        for (acting, runs) in [(ActionMode::Greedy, &runs.greedy), (ActionMode::Sampled, &runs.sampled)] {
             if runs.outcome.success.n_episodes > 0 {
                 rows.extend(row("reset-free", acting, n_goals, &[&runs.outcome]));
             }

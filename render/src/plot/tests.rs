@@ -162,6 +162,6 @@ fn group_table_matches_hand_worked_values() {
     let csv = groups::csv(&rows);
     let lines: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [12, 12, 12]);
-    assert_eq!(lines[1][..6], ["train 2-6", "2", "mode", "20", "4", "0.2"]);
+    assert_eq!(lines[1][..6], ["train 2-6", "2", "greedy", "20", "4", "0.2"]);
     assert_eq!((lines[2][0], lines[2][4]), ("all", "4"));
 }

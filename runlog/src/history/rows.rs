@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalResetFree, EvalRuns, METRICS_SCHEMA_VERSION};
 use proto::wilson::SuccessRate;
-use proto::{RewardTerms, WeightsVersion};
+use proto::{ActionMode, InvalidActionMode, RewardTerms, WeightsVersion};
 use rusqlite::types::Type;
 use rusqlite::{Connection, Error, Result, Row, TransactionBehavior, params};
 
 use super::Pass;
-use proto::ActionMode;
 
 const INSERT_PASS: &str = "INSERT INTO pass (ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed)
     VALUES (?1, ?2, ?3, ?4, ?5)";
@@ -44,7 +43,7 @@ pub(super) fn append(db: &mut Connection, pass: &Pass) -> Result<()> {
             let key = params![score.blueprint.as_str(), score.split.as_str(), score.n_blocks];
             insert_blueprint.execute(key)?;
             let blueprint_id: i64 = select_blueprint.query_row(key, |row| row.get(0))?;
-            for (acting, outcome) in [(ActionMode::Greedy, &score.mode), (ActionMode::Sampled, &score.sampled)] {
+            for (acting, outcome) in [(ActionMode::Greedy, &score.greedy), (ActionMode::Sampled, &score.sampled)] {
                 if outcome.success.n_episodes == 0 {
                     continue;
                 }
@@ -53,7 +52,7 @@ pub(super) fn append(db: &mut Connection, pass: &Pass) -> Result<()> {
                 insert_outcome.execute(params![
                     pass_id,
                     blueprint_id,
-                    acting.name(),
+                    stored(acting),
                     success.n_episodes,
                     success.n_successes,
                     stable_success.n_successes,
@@ -76,7 +75,7 @@ pub(super) fn append(db: &mut Connection, pass: &Pass) -> Result<()> {
 }
 
 fn append_reset_free(db: &Connection, pass_id: i64, reset_free: &EvalResetFree) -> Result<()> {
-    for (acting, runs) in [(ActionMode::Greedy, &reset_free.mode), (ActionMode::Sampled, &reset_free.sampled)] {
+    for (acting, runs) in [(ActionMode::Greedy, &reset_free.greedy), (ActionMode::Sampled, &reset_free.sampled)] {
         let outcome = &runs.outcome;
         if outcome.success.n_episodes == 0 {
             continue;
@@ -88,7 +87,7 @@ fn append_reset_free(db: &Connection, pass_id: i64, reset_free: &EvalResetFree) 
             INSERT_RUNS,
             params![
                 pass_id,
-                acting.name(),
+                stored(acting),
                 reset_free.n_runs,
                 reset_free.n_goals,
                 outcome.success.n_episodes,
@@ -129,7 +128,7 @@ pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
         let key = (row.get("pass_id")?, parsed(row, "split", str::parse)?, row.get("n_blocks")?, name);
         scores.entry(key).or_default()[acting(row)? as usize] = outcome(row)?;
     }
-    for ((pass_id, split, n_blocks, blueprint), [mode, sampled]) in scores {
+    for ((pass_id, split, n_blocks, blueprint), [greedy, sampled]) in scores {
         // The database enforces that every outcome has its evaluation.
         let Some(pass) = passes.get_mut(&pass_id) else { continue };
         pass.blueprints.push(EvalBlueprint {
@@ -140,7 +139,7 @@ pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
             split,
             n_blocks,
             sampled,
-            mode,
+            greedy,
         });
     }
     let mut select_runs = transaction.prepare("SELECT * FROM reset_free")?;
@@ -150,7 +149,7 @@ pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
         let reset_free = pass.reset_free.get_or_insert_default();
         (reset_free.n_runs, reset_free.n_goals) = (row.get("n_runs")?, row.get("n_goals")?);
         match acting(row)? {
-            ActionMode::Greedy => reset_free.mode = runs(row)?,
+            ActionMode::Greedy => reset_free.greedy = runs(row)?,
             ActionMode::Sampled => reset_free.sampled = runs(row)?,
         }
     }
@@ -204,8 +203,18 @@ fn outcome(row: &Row<'_>) -> Result<EvalOutcome> {
     })
 }
 
+/// Returns the word for an action mode in the tables, which call greedy actions by the mode of the distribution.
+fn stored(acting: ActionMode) -> &'static str {
+    match acting {
+        ActionMode::Greedy => "mode",
+        ActionMode::Sampled => "sampled",
+    }
+}
+
 fn acting(row: &Row<'_>) -> Result<ActionMode> {
-    parsed(row, "acting", str::parse)
+    let is_stored =
+        |text: &str| [ActionMode::Greedy, ActionMode::Sampled].into_iter().find(|&mode| stored(mode) == text);
+    parsed(row, "acting", |text| is_stored(text).ok_or_else(|| InvalidActionMode(text.to_owned())))
 }
 
 /// Parses a text column.

@@ -30,7 +30,7 @@ pub(crate) fn pass(n_env_steps: u64, scores: &[(&str, Split, u64, u64)]) -> Pass
         split,
         n_blocks,
         sampled: EvalOutcome::default(),
-        mode: outcome(n_successes),
+        greedy: outcome(n_successes),
     };
     Pass {
         ended_unix_ms: 1_767_225_600_123 + n_env_steps,

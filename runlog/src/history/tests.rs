@@ -30,12 +30,17 @@ fn evaluations_round_trip() {
     let path = path(&folder);
     let mut first = small(0);
     first.blueprints[1].sampled = outcome(10);
-    first.blueprints[1].mode = EvalOutcome::default();
+    first.blueprints[1].greedy = EvalOutcome::default();
     first.reset_free = Some(EvalResetFree {
         n_runs: 5,
         n_goals: 2,
         sampled: EvalRuns::default(),
-        mode: EvalRuns { outcome: outcome(7), n_successes_by_goal: vec![4, 3], run_rate_std: 0.4, n_forced_resets: 1 },
+        greedy: EvalRuns {
+            outcome: outcome(7),
+            n_successes_by_goal: vec![4, 3],
+            run_rate_std: 0.4,
+            n_forced_resets: 1,
+        },
     });
     let second = pass(500, &[("2_000", Split::Train, 2, 1), ("test_12_000", Split::Test, 12, 10)]);
     let mut history = History::open(&path).unwrap();
@@ -55,10 +60,10 @@ fn evaluations_round_trip() {
 fn nan_returns_round_trip() {
     let folder = tempfile::tempdir().unwrap();
     let mut pass = small(0);
-    pass.blueprints[0].mode.mean_return.force = f32::NAN;
+    pass.blueprints[0].greedy.mean_return.force = f32::NAN;
     History::open(&path(&folder)).unwrap().append(&pass).unwrap();
     let found = History::read(&path(&folder)).unwrap();
-    let terms = found[0].blueprints[0].mode.mean_return;
+    let terms = found[0].blueprints[0].greedy.mean_return;
     assert!(terms.force.is_nan() && terms.connected == 1.3, "{terms:?}");
 }
 

@@ -31,7 +31,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     }
     if let Some(evaluation) = run.evaluation().map(|heard| &heard.value) {
         let all = &evaluation.all;
-        drops.add("evaluator", "diverged", all.mode.n_diverged.saturating_add(all.sampled.n_diverged));
+        drops.add("evaluator", "diverged", all.greedy.n_diverged.saturating_add(all.sampled.n_diverged));
         drops.add_all("evaluator's bus", &evaluation.bus);
         if let Some(films) = evaluation.films {
             drops.add_all("films", &FilmCounts { written_total: 0, n_waiting: 0, ..films });

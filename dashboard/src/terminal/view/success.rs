@@ -40,17 +40,17 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
 
 /// Returns the number of episodes of an evaluation that is not complete.
 fn n_so_far(summary: &EvalSummary) -> Option<u64> {
-    let outcomes = [&summary.all.mode.success, &summary.all.sampled.success];
+    let outcomes = [&summary.all.greedy.success, &summary.all.sampled.success];
     (!summary.is_complete).then(|| outcomes.iter().map(|success| success.n_episodes).sum())
 }
 
 fn group(group: &EvalGroup) -> Line<'static> {
-    let (mode, sampled) = (&group.mode.success, &group.sampled.success);
+    let (greedy, sampled) = (&group.greedy.success, &group.sampled.success);
     plain(format!(
         "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
         name(&group.name),
-        success(mode),
-        mode.n_episodes,
+        success(greedy),
+        greedy.n_episodes,
         success(sampled),
         sampled.n_episodes,
     ))
@@ -68,7 +68,7 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     });
     // Blueprints without episodes sort last.
     let rate = |blueprint: &EvalBlueprint| {
-        let ways = [&blueprint.mode.success, &blueprint.sampled.success];
+        let ways = [&blueprint.greedy.success, &blueprint.sampled.success];
         ways.into_iter().find(|success| success.n_episodes > 0).map_or(f64::INFINITY, |success| success.rate)
     };
     blueprints.sort_by(|a, b| {
@@ -83,13 +83,13 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
         blueprints.reverse();
     }
     let row = |blueprint: &&EvalBlueprint| {
-        let [mode, sampled] = [&blueprint.mode.success, &blueprint.sampled.success];
+        let [greedy, sampled] = [&blueprint.greedy.success, &blueprint.sampled.success];
         plain(format!(
             "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
             name(blueprint.blueprint.as_str()),
             blueprint.n_blocks,
-            success(mode),
-            mode.n_episodes,
+            success(greedy),
+            greedy.n_episodes,
             success(sampled),
             sampled.n_episodes,
         ))
@@ -105,9 +105,9 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
 /// Lists the worst and the best blueprints with greedy actions, or with sampled actions if no greedy episodes were run.
 /// Each line lists as many as fit. No blueprint is in both lines, and the best have at least one success.
 fn extremes(blueprints: &[&EvalBlueprint], summary: &EvalSummary, width: usize) -> Vec<Line<'static>> {
-    let is_mode = summary.all.mode.success.n_episodes > 0;
+    let is_greedy = summary.all.greedy.success.n_episodes > 0;
     let rate = |blueprint: &EvalBlueprint| -> SuccessRate {
-        if is_mode { blueprint.mode.success } else { blueprint.sampled.success }
+        if is_greedy { blueprint.greedy.success } else { blueprint.sampled.success }
     };
     let mut ranked: Vec<(f64, &str)> = blueprints
         .iter()
@@ -117,7 +117,7 @@ fn extremes(blueprints: &[&EvalBlueprint], summary: &EvalSummary, width: usize) 
     ranked.sort_by(|left, right| left.0.total_cmp(&right.0).then(left.1.cmp(right.1)));
     let n_worst = ranked.len().div_ceil(2);
     let (worst, best) = ranked.split_at(n_worst);
-    let way = if is_mode { "" } else { " sampled" };
+    let way = if is_greedy { "" } else { " sampled" };
     let mut lines = Vec::new();
     if !worst.is_empty() {
         lines.push(plain(row(&format!("  worst{way}"), worst.iter(), width)));

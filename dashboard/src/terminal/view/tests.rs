@@ -107,8 +107,8 @@ fn an_evaluation_that_runs_is_shown_as_such_and_is_no_part_of_the_curve() {
     part.value["is_complete"] = false.into();
     part.value["n_planned"] = 320.into();
     part.value["weights_version"] = 900.into();
-    part.value["all"]["mode"]["success"]["n_successes"] = 0.into();
-    part.value["all"]["mode"]["success"]["rate"] = 0.0.into();
+    part.value["all"]["greedy"]["success"]["n_successes"] = 0.into();
+    part.value["all"]["greedy"]["success"]["rate"] = 0.0.into();
     run.take(&part, seconds(40));
     let shown = screen(&run, seconds(42), 80, 24);
     assert!(shown.contains(&"Success in % so far, 160 of 320 episodes: weights 900, 3 276 800 steps".to_owned()));

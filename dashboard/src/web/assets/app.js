@@ -7,7 +7,7 @@ const model = {
   summary: null,
   actors: new Map(),
   roster: { actors: [], learners: [], evaluators: [] },
-  acting: "mode",
+  acting: "greedy",
   about: null,
   // The event stream: "waiting", "live", "away" or "ended".
   link: "waiting",

@@ -82,7 +82,7 @@ function drawGroups(table, history) {
     const dot = svg("svg", { class: "dot", viewBox: "0 0 22 12", "aria-hidden": "true" },
       svg("line", { class: `curve g${i}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": DASHES[i] }));
     const first = group.name === "all" ? ["all"] : [dot, group.name];
-    return [first, String(group.n_blueprints), ...cells(group.mode), ...cells(group.sampled)];
+    return [first, String(group.n_blueprints), ...cells(group.greedy), ...cells(group.sampled)];
   });
   const caption = `Newest evaluation: weights ${last.weights_version}, ${count(last.n_env_steps)} steps, took ${minutes(last.elapsed_s)}`;
   const heads = ["group", "blueprints", "greedy", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];

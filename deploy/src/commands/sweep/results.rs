@@ -138,7 +138,7 @@ fn scores(pass: &Pass) -> Vec<Score> {
     let runs = pass
         .reset_free
         .iter()
-        .flat_map(|runs| [(ActionMode::Greedy, &runs.mode), (ActionMode::Sampled, &runs.sampled)]);
+        .flat_map(|runs| [(ActionMode::Greedy, &runs.greedy), (ActionMode::Sampled, &runs.sampled)]);
     for (acting, runs) in runs.filter(|(_, runs)| runs.outcome.success.n_episodes > 0) {
         let rate = runs.outcome.success.rate;
         scores.push(Score { group: RESET_FREE.to_owned(), goal: RESET_FREE.to_owned(), acting, rate });
