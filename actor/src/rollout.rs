@@ -4,7 +4,9 @@ use blueprints::Catalog;
 use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
-use proto::{ActionMode, CanonicalSettings, Driver, Status, Task, Trajectory, Transition, Weights, WeightsVersion};
+use proto::{
+    ActionMode, BehaviorPolicy, CanonicalSettings, Status, Task, Trajectory, Transition, Weights, WeightsVersion,
+};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -185,7 +187,7 @@ impl<'c, E: Env> Rollout<'c, E> {
             true
         };
         let task = self.envs.reset(row, task, setup.catalog, retry)?;
-        let segment = SegmentBuilder::new(setup.segment_len, task, Driver::Sampled);
+        let segment = SegmentBuilder::new(setup.segment_len, task, BehaviorPolicy::Sampled);
         let n_burn_in = draw_burn_in(&setup.burn_in, &mut task_rng);
         Ok(EnvSlot { task_rng, segment, n_burn_in })
     }

@@ -1,6 +1,8 @@
 //! Cuts episodes into segments to learn from.
 
-use proto::{ActorId, Driver, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+use proto::{
+    ActorId, BehaviorPolicy, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
+};
 
 /// Origin of segments.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,7 +21,7 @@ pub struct Identity {
 pub struct SegmentBuilder {
     segment_len: usize,
     task: Task,
-    driver: Driver,
+    behavior_policy: BehaviorPolicy,
     transitions: Vec<Transition>,
     /// Oldest weights version among the collected steps.
     oldest_version: Option<WeightsVersion>,
@@ -46,13 +48,13 @@ pub enum Cut {
 }
 
 impl SegmentBuilder {
-    /// Creates a builder at the start of an episode of `task` in which `driver` acts; `segment_len` is in steps, at
+    /// Creates a builder at the start of an episode of `task` with this behavior policy; `segment_len` is in steps, at
     /// least 1.
-    pub fn new(segment_len: usize, task: Task, driver: Driver) -> Self {
+    pub fn new(segment_len: usize, task: Task, behavior_policy: BehaviorPolicy) -> Self {
         Self {
             segment_len: segment_len.max(1),
             task,
-            driver,
+            behavior_policy,
             transitions: Vec::with_capacity(segment_len),
             oldest_version: None,
             first_step: 0,
@@ -76,7 +78,7 @@ impl SegmentBuilder {
     /// Ends the episode in its burn-in. The last step becomes a segment of the greedy policy, so that its outcome
     /// counts although nothing is learned from it.
     pub fn end_in_burn_in(&mut self) {
-        self.driver = Driver::Greedy;
+        self.behavior_policy = BehaviorPolicy::Greedy;
     }
 
     /// Adds a step that led to `after` with `status`, acted with weights `version`.
@@ -117,7 +119,7 @@ impl SegmentBuilder {
             weights_version: oldest,
             settings_hash: 0,
             task: self.task.clone(),
-            driver: self.driver,
+            behavior_policy: self.behavior_policy,
             first_step,
             n_burn_in_steps: std::mem::take(&mut self.n_burn_in_steps),
             transitions,
@@ -147,12 +149,12 @@ mod tests {
 
     /// Pushes steps `(reward, version, status)` into segments of 3 and returns what they complete.
     fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
-        let mut builder = SegmentBuilder::new(3, toy::task(), Driver::Sampled);
+        let mut builder = SegmentBuilder::new(3, toy::task(), BehaviorPolicy::Sampled);
         let push = |&(reward, version, status): &(f32, u64, Status)| {
             let version = WeightsVersion(version);
             let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
             if status != Status::Running {
-                builder = SegmentBuilder::new(3, toy::task(), Driver::Sampled);
+                builder = SegmentBuilder::new(3, toy::task(), BehaviorPolicy::Sampled);
             }
             cut
         };

@@ -4,7 +4,7 @@ use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS};
 use environment::{Env, ResetError, StepResult};
 use policy::{EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig};
 use proto::{
-    Action, ActorId, Driver, Gripper, Normalization, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
+    Action, ActorId, BehaviorPolicy, Gripper, Normalization, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
     Transition, Weights, WeightsVersion,
 };
 
@@ -97,7 +97,7 @@ pub(crate) fn trajectory() -> Trajectory {
         weights_version: WeightsVersion(0),
         settings_hash: 0,
         task: task(),
-        driver: Driver::Sampled,
+        behavior_policy: BehaviorPolicy::Sampled,
         first_step: 0,
         n_burn_in_steps: 0,
         transitions: vec![transition],

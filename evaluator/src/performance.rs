@@ -4,7 +4,9 @@ use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, ExpertAgent, Step, World};
 use parking_lot::Mutex;
 use policy::{Policy, PolicyConfig};
-use proto::{ActionMode, ActorId, Agent, Driver, Observation, Scene, Start, Trajectory, Weights, WeightsVersion};
+use proto::{
+    ActionMode, ActorId, Agent, BehaviorPolicy, Observation, Scene, Start, Trajectory, Weights, WeightsVersion,
+};
 
 use crate::recording::Recording;
 use crate::report::EpisodeResult;
@@ -82,24 +84,26 @@ where
     Ok(witness.seen.into_inner())
 }
 
-/// The actor, driver, and weights version named in a recording.
+/// The actor, behavior policy, and weights version named in a recording.
 #[derive(Clone, Debug)]
 pub(crate) struct Credits {
     pub(crate) actor: ActorId,
-    pub(crate) driver: Driver,
+    pub(crate) behavior_policy: BehaviorPolicy,
     pub(crate) weights_version: WeightsVersion,
 }
 
 impl Credits {
     /// Returns the credits of a performer; the actor is `expert` or `policy`.
     pub(crate) fn of(performer: Performer<'_>, acting: ActionMode) -> Self {
-        let (actor, driver, weights_version) = match (performer, acting) {
-            (Performer::Expert, _) => ("expert", Driver::Expert, WeightsVersion(0)),
-            (Performer::Policy(_, weights), ActionMode::Greedy) => ("policy", Driver::Greedy, weights.version),
-            (Performer::Policy(_, weights), ActionMode::Sampled) => ("policy", Driver::Sampled, weights.version),
+        let (actor, behavior_policy, weights_version) = match (performer, acting) {
+            (Performer::Expert, _) => ("expert", BehaviorPolicy::Expert, WeightsVersion(0)),
+            (Performer::Policy(_, weights), ActionMode::Greedy) => ("policy", BehaviorPolicy::Greedy, weights.version),
+            (Performer::Policy(_, weights), ActionMode::Sampled) => {
+                ("policy", BehaviorPolicy::Sampled, weights.version)
+            }
         };
         let actor = ActorId::try_from(actor.to_owned()).expect("the name is lower case");
-        Self { actor, driver, weights_version }
+        Self { actor, behavior_policy, weights_version }
     }
 }
 
@@ -121,8 +125,9 @@ impl<A> EpisodeObserver<A> for Witness {
     }
 
     fn end(&self, recording: Recording, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        let Credits { actor, driver, weights_version } = self.credits.clone();
-        *self.seen.lock() = recording.into_trajectory(actor, driver, weights_version, spec.task(), last, result);
+        let Credits { actor, behavior_policy, weights_version } = self.credits.clone();
+        *self.seen.lock() =
+            recording.into_trajectory(actor, behavior_policy, weights_version, spec.task(), last, result);
     }
 }
 

@@ -105,8 +105,8 @@ impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
     }
 
     fn end(&self, (idx, recording): Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        let Credits { actor, driver, weights_version } = self.credits.clone();
-        let trajectory = recording.into_trajectory(actor, driver, weights_version, spec.task(), last, result);
+        let Credits { actor, behavior_policy, weights_version } = self.credits.clone();
+        let trajectory = recording.into_trajectory(actor, behavior_policy, weights_version, spec.task(), last, result);
         let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone() });
         self.in_order.lock().put(idx, recorded);
     }

@@ -1,7 +1,7 @@
 //! Records an episode step by step, for display.
 
 use environment::{Step, StepResult};
-use proto::{ActorId, Decision, Driver, Outcome, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+use proto::{ActorId, BehaviorPolicy, Decision, Outcome, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
 
 use crate::report::{End, EpisodeResult};
 
@@ -23,7 +23,7 @@ impl Recording {
     pub(crate) fn into_trajectory(
         self,
         actor: ActorId,
-        driver: Driver,
+        behavior_policy: BehaviorPolicy,
         weights_version: WeightsVersion,
         task: &Task,
         last: &Scene,
@@ -47,7 +47,7 @@ impl Recording {
             weights_version,
             settings_hash: 0,
             task: task.clone(),
-            driver,
+            behavior_policy,
             first_step: 0,
             n_burn_in_steps: 0,
             transitions: self.transitions,

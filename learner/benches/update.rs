@@ -78,7 +78,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         weights_version: proto::WeightsVersion(version),
         settings_hash: proto::CanonicalSettings::default().hash(),
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
-        driver: proto::Driver::Sampled,
+        behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 0,
         n_burn_in_steps: 0,
         transitions,

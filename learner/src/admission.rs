@@ -7,7 +7,9 @@ use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
 use policy::proposals::{N_SLOTS, Slot};
 use policy::{MoveHead, NetworkConfig};
-use proto::{Action, CanonicalSettings, Driver, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition};
+use proto::{
+    Action, BehaviorPolicy, CanonicalSettings, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition,
+};
 
 /// Largest coordinate of a block in meters: the limit at which the widest configurable world ends an episode.
 const MAX_POSITION_M: f32 = 50.0;
@@ -111,7 +113,7 @@ impl Admission {
         for (t, transition) in trajectory.transitions.iter().enumerate() {
             let at = |reason: String| format!("step {t} {reason}");
             self.check_action(&transition.action).map_err(at)?;
-            self.check_draws(transition, trajectory.driver).map_err(at)?;
+            self.check_draws(transition, trajectory.behavior_policy).map_err(at)?;
             check_scene(&transition.scene).map_err(at)?;
             check_reward(&transition.reward).map_err(at)?;
             let log_prob = transition.behavior_log_prob;
@@ -160,11 +162,11 @@ impl Admission {
                 "a burn-in of {n_burn_in_steps} steps is longer than any of this run, {burn_in_steps}"
             ));
         }
-        match trajectory.driver {
-            Driver::Sampled => Ok(()),
-            Driver::Greedy if burn_in_steps > 0 => Ok(()),
-            Driver::Greedy => Err("no greedy policy acts in this run, because it has no burn-ins".to_owned()),
-            Driver::Expert => Err("no expert acts in a training run".to_owned()),
+        match trajectory.behavior_policy {
+            BehaviorPolicy::Sampled => Ok(()),
+            BehaviorPolicy::Greedy if burn_in_steps > 0 => Ok(()),
+            BehaviorPolicy::Greedy => Err("no greedy policy acts in this run, because it has no burn-ins".to_owned()),
+            BehaviorPolicy::Expert => Err("no expert acts in a training run".to_owned()),
         }
     }
 
@@ -178,7 +180,7 @@ impl Admission {
 
     /// Checks that an action has draws as the move head makes them. Whether the scene offers them is found out when it
     /// is learned from.
-    fn check_draws(&self, transition: &Transition, driver: Driver) -> Result<(), String> {
+    fn check_draws(&self, transition: &Transition, behavior_policy: BehaviorPolicy) -> Result<(), String> {
         let drawn = transition.proposals;
         if let Some(slot) = drawn.into_iter().flatten().find(|&slot| Slot::from_index(slot).is_none()) {
             return Err(format!("was drawn from proposal {slot}, and the highest is {}", N_SLOTS - 1));
@@ -187,7 +189,7 @@ impl Admission {
             MoveHead::Gaussian if drawn != [None; N_GRIPPERS] => {
                 Err("was drawn from a proposal, and there are none with policy.network.move_head = gaussian".to_owned())
             }
-            MoveHead::Mixture if driver == Driver::Sampled && drawn[0].is_none() => {
+            MoveHead::Mixture if behavior_policy == BehaviorPolicy::Sampled && drawn[0].is_none() => {
                 Err("names no proposal, as each draw does with policy.network.move_head = mixture".to_owned())
             }
             MoveHead::Gaussian | MoveHead::Mixture => Ok(()),
@@ -353,16 +355,16 @@ mod tests {
     #[test]
     fn draws_that_the_move_head_does_not_make_are_refused() {
         let hold = Some(Slot::alone(policy::proposals::Kind::Hold).index());
-        let check = |move_head, driver, proposals| {
+        let check = |move_head, behavior_policy, proposals| {
             let mut setup = small_setup(1);
             setup.policy.network.move_head = move_head;
             let mut drawn = trajectory(2, 5);
-            drawn.driver = driver;
+            drawn.behavior_policy = behavior_policy;
             drawn.transitions.iter_mut().for_each(|transition| transition.proposals = [hold, None]);
             drawn.transitions[1].proposals = proposals;
             setup.admission().check(&drawn)
         };
-        let (mixture, sampled) = (MoveHead::Mixture, Driver::Sampled);
+        let (mixture, sampled) = (MoveHead::Mixture, BehaviorPolicy::Sampled);
         for (proposals, message) in [
             ([hold, hold], None),
             ([hold, None], None),
@@ -373,7 +375,7 @@ mod tests {
         ] {
             assert_eq!(check(mixture, sampled, proposals).err().as_deref(), message, "{proposals:?}");
         }
-        assert_eq!(check(mixture, Driver::Greedy, [None, None]), Ok(()));
+        assert_eq!(check(mixture, BehaviorPolicy::Greedy, [None, None]), Ok(()));
         let error = check(MoveHead::Gaussian, sampled, [None, None]).unwrap_err();
         let message = "step 0 was drawn from a proposal, and there are none with policy.network.move_head = gaussian";
         assert_eq!(error, message);
@@ -401,7 +403,7 @@ mod tests {
                 "a burn-in of 61 steps is longer than any of this run, 60",
             ),
             (|t| t.n_burn_in_steps = 999, "a burn-in of 999 steps is longer than any of this run, 60"),
-            (|t| t.driver = Driver::Expert, "no expert acts in a training run"),
+            (|t| t.behavior_policy = BehaviorPolicy::Expert, "no expert acts in a training run"),
             (
                 |t| t.task.start = Start::Prebuilt("2_001".parse().unwrap()),
                 "no episode of this run begins with another blueprint built",
@@ -414,12 +416,12 @@ mod tests {
             assert_eq!(rules.check(&spoilt), Err(message.to_owned()));
         }
         let mut longest = trajectory(2, 5);
-        (longest.first_step, longest.n_burn_in_steps, longest.driver) = (60, 60, Driver::Greedy);
+        (longest.first_step, longest.n_burn_in_steps, longest.behavior_policy) = (60, 60, BehaviorPolicy::Greedy);
         assert_eq!(rules.check(&longest), Ok(()));
         let without = ActingLimits { burn_in_steps: 0, ..acting };
         let rules = rules_of(without);
         let mut greedy = trajectory(2, 5);
-        greedy.driver = Driver::Greedy;
+        greedy.behavior_policy = BehaviorPolicy::Greedy;
         let reason = "no greedy policy acts in this run, because it has no burn-ins";
         assert_eq!(rules.check(&greedy), Err(reason.to_owned()));
     }

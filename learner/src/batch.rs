@@ -6,7 +6,7 @@ use blueprints::{Blueprint, Catalog};
 use policy::mixture::ActionRows;
 use policy::proposals::Slot;
 use policy::{FeatureBatch, MoveHead, PolicyConfig};
-use proto::{Action, Driver, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
+use proto::{Action, BehaviorPolicy, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
 
 use crate::config::RewardFactors;
 use crate::draws::{self, Draws};
@@ -83,7 +83,7 @@ impl Batch {
             let (policy_lag, fingerprint) = (policy_lag(version, &trajectory), trajectory.fingerprint());
             let first = batch.actions.len();
             let mut n_steps = trajectory.first_step;
-            let is_drawn = trajectory.driver == Driver::Sampled;
+            let is_drawn = trajectory.behavior_policy == BehaviorPolicy::Sampled;
             let mut is_offered = true;
             for (t, transition) in trajectory.transitions.iter().enumerate() {
                 batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint, n_steps });

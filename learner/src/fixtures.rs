@@ -42,7 +42,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
             start: Start::Scattered,
             seed: 1,
         },
-        driver: proto::Driver::Sampled,
+        behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 0,
         n_burn_in_steps: 0,
         transitions,

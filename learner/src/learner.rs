@@ -11,7 +11,9 @@ use policy::normalization::{FeatureMoments, normalize};
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::PpoMetrics;
-use proto::{CanonicalSettings, Driver, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
+use proto::{
+    BehaviorPolicy, CanonicalSettings, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -280,7 +282,7 @@ impl Learner {
             Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy, &factors)
         };
         let (sampled, others): (Vec<_>, Vec<_>) =
-            trajectories.into_iter().partition(|trajectory| trajectory.driver == Driver::Sampled);
+            trajectories.into_iter().partition(|trajectory| trajectory.behavior_policy == BehaviorPolicy::Sampled);
         let own = batch(sampled);
         // The statistics come from raw features and take effect with the next weights.
         let moving = self.features_move();

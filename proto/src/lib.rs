@@ -30,5 +30,5 @@ pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
 pub use setting::InvalidSetting;
 pub use step::{Action, ActionMode, InvalidActionMode, Move, RewardTerms, Status};
-pub use trajectory::{ActorId, Driver, InvalidActorId, Outcome, Start, Task, Trajectory, Transition};
+pub use trajectory::{ActorId, BehaviorPolicy, InvalidActorId, Outcome, Start, Task, Trajectory, Transition};
 pub use weights::{Normalization, Weights, WeightsVersion};

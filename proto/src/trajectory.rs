@@ -70,7 +70,7 @@ pub struct Transition {
 
 /// The source of an episode's actions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Driver {
+pub enum BehaviorPolicy {
     /// Actions sampled from the policy's distribution, the only source suited to policy gradients.
     #[default]
     Sampled,
@@ -120,7 +120,7 @@ pub struct Trajectory {
     /// Goal and start of the episode.
     pub task: Task,
     /// Source of the actions. `behavior_log_prob` is 0 unless actions were sampled.
-    pub driver: Driver,
+    pub behavior_policy: BehaviorPolicy,
     /// Index of the first transition in its episode.
     pub first_step: u16,
     /// Steps before the first transition that are in no segment, because they are not used for learning. Nonzero only

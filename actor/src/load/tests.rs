@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use blueprints::BlockIdx;
-use proto::{Driver, Refusal, Status, Transition, WeightsVersion};
+use proto::{BehaviorPolicy, Refusal, Status, Transition, WeightsVersion};
 use tokio::sync::{mpsc, watch};
 
 use super::*;
@@ -12,7 +12,7 @@ use crate::toy;
 
 /// Returns a segment of `n_steps` steps.
 fn segment(n_steps: usize) -> Trajectory {
-    let mut builder = SegmentBuilder::new(n_steps, toy::task(), Driver::Sampled);
+    let mut builder = SegmentBuilder::new(n_steps, toy::task(), BehaviorPolicy::Sampled);
     for _ in 0..n_steps {
         let transition = Transition {
             scene: toy::scene(),

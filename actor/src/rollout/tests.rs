@@ -162,10 +162,14 @@ fn an_episode_that_ends_in_its_burn_in_tells_its_outcome() {
     let segments = run(&mut rollout, 3);
     assert_eq!(segments.len(), 3);
     for segment in &segments {
-        assert_eq!((segment.driver, segment.status), (Driver::Greedy, Success));
+        assert_eq!((segment.behavior_policy, segment.status), (BehaviorPolicy::Greedy, Success));
         assert_eq!((segment.first_step, segment.n_burn_in_steps, segment.transitions.len()), (0, 0, 1));
     }
     // One step of burn-in, then the steps that are learned from.
     let segments = run(&mut with_burn_in(&[&[Running, Success]], 1, burn_in), 4);
-    assert!(segments.iter().all(|segment| segment.driver == Driver::Sampled && segment.n_burn_in_steps == 1));
+    assert!(
+        segments
+            .iter()
+            .all(|segment| segment.behavior_policy == BehaviorPolicy::Sampled && segment.n_burn_in_steps == 1)
+    );
 }

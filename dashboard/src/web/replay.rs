@@ -257,7 +257,7 @@ pub(super) mod tests {
                 start: Start::Scattered,
                 seed,
             },
-            driver: proto::Driver::Sampled,
+            behavior_policy: proto::BehaviorPolicy::Sampled,
             first_step,
             n_burn_in_steps: 0,
             transitions: (0..n_steps).map(transition).collect(),

@@ -6,7 +6,7 @@ use std::fmt;
 use blueprints::BlueprintId;
 use environment::{Activity, ExpertAgent, Step};
 use parking_lot::Mutex;
-use proto::{ActionMode, ActorId, Driver, Joint, Observation, Scene, Trajectory, WeightsVersion};
+use proto::{ActionMode, ActorId, BehaviorPolicy, Joint, Observation, Scene, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::recording::Recording;
@@ -121,8 +121,8 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
     fn end(&self, diary: Diary, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
         let (place, trouble) = (diary.place, diary.trouble(result.end));
         let replay = ActorId::try_from("expert".to_owned()).ok().and_then(|actor| {
-            let (driver, version) = (Driver::Expert, WeightsVersion(0));
-            diary.recording.into_trajectory(actor, driver, version, spec.task(), last, result)
+            let (behavior_policy, version) = (BehaviorPolicy::Expert, WeightsVersion(0));
+            diary.recording.into_trajectory(actor, behavior_policy, version, spec.task(), last, result)
         });
         let mut kept = self.0.lock();
         match (result.end, replay) {

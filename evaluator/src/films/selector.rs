@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use blueprints::{BlueprintId, Group};
 use environment::Step;
-use proto::{ActionMode, ActorId, Driver, Observation, Scene, Weights};
+use proto::{ActionMode, ActorId, BehaviorPolicy, Observation, Scene, Weights};
 
 use super::queue::{Clip, ClipQueue};
 use crate::config::FilmsConfig;
@@ -104,11 +104,13 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
             return;
         }
         let (actor, version, task) = (self.actor.clone(), self.weights.version, spec.task());
-        let driver = match result.acting {
-            ActionMode::Greedy => Driver::Greedy,
-            ActionMode::Sampled => Driver::Sampled,
+        let behavior_policy = match result.acting {
+            ActionMode::Greedy => BehaviorPolicy::Greedy,
+            ActionMode::Sampled => BehaviorPolicy::Sampled,
         };
-        let Some(trajectory) = recording.into_trajectory(actor, driver, version, task, last, result) else { return };
+        let Some(trajectory) = recording.into_trajectory(actor, behavior_policy, version, task, last, result) else {
+            return;
+        };
         let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
         for subject in wanted {
             open.missing.entry((subject, ending)).and_modify(|n| *n -= 1);

@@ -6,7 +6,7 @@ use blueprints::Catalog;
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{NetworkConfig, Policy, PolicyConfig};
-use proto::{ActionMode, Agent, Driver, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
+use proto::{ActionMode, Agent, BehaviorPolicy, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -171,7 +171,7 @@ fn ppo_uses_only_sampled_actions() {
     let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
     let (sampled, others) = trajectories.split_at(100);
     feed(&learner, sampled.to_vec());
-    let greedy = |trajectory: &Trajectory| Trajectory { driver: Driver::Greedy, ..trajectory.clone() };
+    let greedy = |trajectory: &Trajectory| Trajectory { behavior_policy: BehaviorPolicy::Greedy, ..trajectory.clone() };
     feed(&learner, others.iter().map(greedy).collect());
     let update = learner.update().unwrap();
     assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));

@@ -10,7 +10,8 @@ use super::scene::{
 };
 use super::{DecodeError, PROTOCOL_VERSION, check_count, check_size, check_version, parse};
 use crate::{
-    ActorId, Driver, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion, wire,
+    ActorId, BehaviorPolicy, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion,
+    wire,
 };
 
 /// Maximum length of a segment, in steps.
@@ -50,10 +51,10 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
             n_steps: outcome.n_steps.into(),
             episode_return: Some(reward_to_wire(&outcome.episode_return)),
         }),
-        driver: match trajectory.driver {
-            Driver::Sampled => wire::Driver::Sample,
-            Driver::Greedy => wire::Driver::Mode,
-            Driver::Expert => wire::Driver::Expert,
+        behavior_policy: match trajectory.behavior_policy {
+            BehaviorPolicy::Sampled => wire::BehaviorPolicy::Sampled,
+            BehaviorPolicy::Greedy => wire::BehaviorPolicy::Greedy,
+            BehaviorPolicy::Expert => wire::BehaviorPolicy::Expert,
         }
         .into(),
         n_burn_in_steps: trajectory.n_burn_in_steps.into(),
@@ -138,11 +139,11 @@ fn from_wire(message: wire::Trajectory) -> Result<Trajectory, DecodeError> {
         last_scene: scene_from_wire(present("last_scene", message.last_scene)?)?,
         status: status_from_wire(message.status)?,
         outcome: message.outcome.map(outcome_from_wire).transpose()?,
-        driver: match wire::Driver::try_from(message.driver) {
-            Ok(wire::Driver::Sample) => Driver::Sampled,
-            Ok(wire::Driver::Mode) => Driver::Greedy,
-            Ok(wire::Driver::Expert) => Driver::Expert,
-            Err(_) => return Err(invalid("driver", message.driver, "sample, mode or expert")),
+        behavior_policy: match wire::BehaviorPolicy::try_from(message.behavior_policy) {
+            Ok(wire::BehaviorPolicy::Sampled) => BehaviorPolicy::Sampled,
+            Ok(wire::BehaviorPolicy::Greedy) => BehaviorPolicy::Greedy,
+            Ok(wire::BehaviorPolicy::Expert) => BehaviorPolicy::Expert,
+            Err(_) => return Err(invalid("behavior_policy", message.behavior_policy, "sampled, greedy or expert")),
         },
     };
     check_grippers(&trajectory)?;

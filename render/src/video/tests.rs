@@ -52,7 +52,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
             start: Start::Scattered,
             seed: 1,
         },
-        driver: proto::Driver::Sampled,
+        behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: first,
         n_burn_in_steps: 0,
         transitions: (first..last).map(transition).collect(),

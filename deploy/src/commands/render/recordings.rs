@@ -158,7 +158,7 @@ fn begins_like_one(bytes: &[u8]) -> bool {
 #[cfg(test)]
 mod tests {
     use blueprints::{BlockIdx, Catalog, N_BLOCKS};
-    use proto::{Action, Driver, Pose, RewardTerms, Scene, Start, Status, Task, Transition, WeightsVersion};
+    use proto::{Action, BehaviorPolicy, Pose, RewardTerms, Scene, Start, Status, Task, Transition, WeightsVersion};
 
     use super::*;
 
@@ -192,7 +192,7 @@ mod tests {
                 start: Start::Scattered,
                 seed: 1,
             },
-            driver: Driver::Greedy,
+            behavior_policy: BehaviorPolicy::Greedy,
             first_step: first,
             n_burn_in_steps: 0,
             transitions: vec![transition; usize::from(last - first)],

@@ -112,14 +112,14 @@ prop_compose! {
         last_scene in scene(two_grippers),
         status in prop::sample::select(vec![Status::Running, Status::Success, Status::TimeLimit]),
         lucky in any::<bool>(),
-        driver in prop::sample::select(vec![Driver::Sampled, Driver::Greedy, Driver::Expert]),
+        behavior_policy in prop::sample::select(vec![BehaviorPolicy::Sampled, BehaviorPolicy::Greedy, BehaviorPolicy::Expert]),
         episode_return in reward(),
     ) -> Trajectory {
         let n_steps = first_step + transitions.len() as u16;
         let success = status == Status::Success || lucky;
         Trajectory {
             actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), settings_hash: seq, task,
-            driver, first_step, n_burn_in_steps: if is_after_burn_in { first_step } else { 0 },
+            behavior_policy, first_step, n_burn_in_steps: if is_after_burn_in { first_step } else { 0 },
             transitions, last_scene, status,
             outcome: (status != Status::Running).then_some(Outcome { success, n_steps, episode_return }),
         }

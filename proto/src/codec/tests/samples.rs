@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
 use proto::{
-    Action, CanonicalSettings, Driver, Gripper, Joint, Normalization, Outcome, Pose, RewardTerms, Scene, Start, Status,
-    Task, Trajectory, Transition, Weights, WeightsVersion,
+    Action, BehaviorPolicy, CanonicalSettings, Gripper, Joint, Normalization, Outcome, Pose, RewardTerms, Scene, Start,
+    Status, Task, Trajectory, Transition, Weights, WeightsVersion,
 };
 
 pub(crate) fn block(index: u8) -> BlockIdx {
@@ -61,7 +61,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
             start: Start::Prebuilt("2_004".parse().unwrap()),
             seed: 99,
         },
-        driver: proto::Driver::Sampled,
+        behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 40,
         n_burn_in_steps: 0,
         transitions: vec![transition(0.5), transition(0.75)],
@@ -98,7 +98,7 @@ pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
 /// Returns the same trajectory, driven by the expert.
 pub(crate) fn of_expert(actor: &str, seq: u64) -> Trajectory {
     let mut trajectory = running(actor, seq);
-    trajectory.driver = Driver::Expert;
+    trajectory.behavior_policy = BehaviorPolicy::Expert;
     trajectory
 }
 
