@@ -30,14 +30,14 @@ pub(super) fn man(args: &ManArgs, terminal: &Terminal) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The pages of a command and of its visible subcommands.
+/// The pages of a command and of its subcommands.
 fn pages(command: &clap::Command) -> Result<Vec<File>, Failure> {
     let name = command.get_display_name().unwrap_or_else(|| command.get_name());
     let mut text = Vec::new();
     let page = clap_mangen::Man::new(command.clone().display_name(name.to_owned()));
     page.render(&mut text).map_err(anyhow::Error::from)?;
     let mut pages = vec![(format!("{name}.1"), text)];
-    for below in command.get_subcommands().filter(|below| !below.is_hide_set() && below.get_name() != "help") {
+    for below in command.get_subcommands().filter(|below| below.get_name() != "help") {
         pages.extend(self::pages(below)?);
     }
     Ok(pages)
