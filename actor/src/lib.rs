@@ -2,13 +2,12 @@
 //!
 //! Reading order: [`config`] → [`task`] (what to build next) → [`segment`] (episodes cut
 //! into segments) → [`rollout`] (worlds and policy together, synchronously) → [`lockstep`] or [`backlog`]
-//! and [`streams`] → [`run()`] (threads and the bus). [`load`] measures the bus with actors that step no worlds.
+//! and [`streams`] → [`run()`] (threads and the bus).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod backlog;
 pub mod config;
-pub mod load;
 pub mod lockstep;
 pub mod rollout;
 mod run;

@@ -12,7 +12,6 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
 
-mod bench;
 mod blueprints;
 mod bus;
 mod expert;
@@ -25,7 +24,6 @@ mod sweep;
 mod values;
 mod watch;
 
-pub use self::bench::{BenchActorsArgs, BenchCommand, Transport};
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
@@ -171,9 +169,6 @@ pub enum Command {
     /// List, check, generate, and draw blueprints.
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),
-    /// Measure the throughput of this machine's processes and of their connections.
-    #[command(subcommand)]
-    Bench(BenchCommand),
     /// Print shell completions; load them with `source <(lodestone completions bash)`.
     Completions(CompletionsArgs),
 }

@@ -31,8 +31,3 @@ pub fn n_threads(asked: Option<u16>) -> usize {
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or_else(n_cores, usize::from)
 }
-
-/// The limit on open files of this process; `None` means unlimited.
-pub fn max_files() -> Option<u64> {
-    getrlimit(Resource::Nofile).maximum
-}

@@ -2,7 +2,7 @@
 //!
 //! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`], [`reverse`] →
 //! [`admission`], [`mailbox`] → [`batch`] → [`learner`] (the synchronous core) → [`checkpoint`],
-//! [`model`] → [`mod@run`] (the service on the bus). [`sink`] measures the bus with a learner that computes nothing.
+//! [`model`] → [`mod@run`] (the service on the bus).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -27,7 +27,6 @@ mod numbers;
 mod ppo;
 pub mod reverse;
 pub mod run;
-pub mod sink;
 pub mod state;
 #[cfg(test)]
 mod tests;

@@ -7,7 +7,6 @@
 #![allow(clippy::unwrap_used)]
 
 mod access;
-mod bench;
 mod best;
 mod browser;
 mod cli;

@@ -1,6 +1,5 @@
 //! Implementations of the subcommands.
 
-mod bench;
 mod best;
 mod blueprints;
 mod completions;
@@ -22,6 +21,8 @@ mod stage;
 mod sweep;
 mod train;
 mod watch;
+
+pub use self::services::{actor_setup, learner_setup};
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -52,7 +53,6 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     let names: Vec<String> = std::env::vars_os().map(|(name, _)| name.to_string_lossy().into_owned()).collect();
     check_variables(names.iter().map(String::as_str), &cli::program())?;
     match command {
-        Command::Bench(command) => bench::run(&command, terminal),
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Expert(command) => on_runtime(async |shutdown| expert::run(&command, terminal, &shutdown)),
         Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown)),
@@ -188,7 +188,11 @@ async fn join_bus(config: &BusConfig, shutdown: &CancellationToken) -> Result<Op
 }
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.
-fn on_runtime(command: impl AsyncFnOnce(CancellationToken) -> Result<(), Failure>) -> Result<(), Failure> {
+///
+/// # Errors
+/// Those of the command, [`Failure::FewFiles`] if the system allows too few open files, or [`Failure::Service`] if the
+/// runtime cannot be started.
+pub fn on_runtime(command: impl AsyncFnOnce(CancellationToken) -> Result<(), Failure>) -> Result<(), Failure> {
     limits::allow_many_files()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(N_RUNTIME_THREADS)

@@ -293,7 +293,7 @@ pub(super) async fn page(web: Option<&WebConfig>, terminal: &Terminal) -> Result
 }
 
 /// The setup of an actor.
-pub(super) fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
+pub fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
     ActorSetup {
         config: config.actor.clone(),
         policy: config.policy.clone(),
@@ -317,10 +317,11 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
     }
 }
 
-/// The setup of a learner. Fails before anything is written if the device or the selection of goals cannot be used.
+/// The setup of a learner. `init` names a policy to start from; `catalog` has the goals.
 ///
-/// `init` names a policy to start from; `catalog` has the goals.
-pub(super) fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) -> Result<LearnerSetup, Failure> {
+/// # Errors
+/// Before anything is written, if the device, the selection of goals, or the policy cannot be used.
+pub fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
     let unusable = |error| invalid("actor.tasks.filter", error);
     let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;

@@ -2,19 +2,19 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::Context;
 use bus::{AliveToken, Bus, MetricsPublisher, SendError, TrajectorySender, WeightsSubscriber, process_epoch_ms};
-use proto::metrics::BusCounts;
-use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
+use proto::metrics::{ActorDrops, ActorMetrics, BusCounts, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, WeightsVersion, keys};
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use super::Script;
-use super::tally::{LoadCounts, Pull, Tally};
+use super::tally::{LoadCounts, Tally};
+use crate::actors::weights::Moment;
 
 /// Pause before retrying a learner whose mailbox is full, as in a real actor.
 const RETRY_PAUSE: Duration = Duration::from_millis(50);
@@ -152,18 +152,23 @@ impl Member {
     }
 
     /// Publishes metrics every `period` and records when newer weights arrived, until `end`.
-    pub(super) async fn watch_and_report(&self, tally: &Tally, period: Duration, end: &CancellationToken) -> Vec<Pull> {
+    pub(super) async fn watch_and_report(
+        &self,
+        tally: &Tally,
+        period: Duration,
+        end: &CancellationToken,
+    ) -> Vec<Moment> {
         let mut weights = self.weights.watch();
         weights.mark_unchanged();
         let start = Instant::now();
         let mut next = start + period;
-        let mut pulls = vec![Pull { version: newest(&weights).0.0, unix_us: unix_us() }];
+        let mut pulls = vec![Moment::now(newest(&weights).0)];
         loop {
             tokio::select! {
                 () = end.cancelled() => return pulls,
                 changed = weights.changed() => {
                     if changed.is_err() { return pulls }
-                    pulls.push(Pull { version: newest(&weights).0.0, unix_us: unix_us() });
+                    pulls.push(Moment::now(newest(&weights).0));
                 }
                 () = tokio::time::sleep_until(next) => {
                     next += period;
@@ -199,9 +204,4 @@ impl Member {
 /// Returns the version of the newest weights and the hash of their settings.
 fn newest(weights: &watch::Receiver<Option<Arc<(WeightsVersion, u64)>>>) -> (WeightsVersion, u64) {
     weights.borrow().as_deref().copied().unwrap_or_default()
-}
-
-fn unix_us() -> u64 {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
 }

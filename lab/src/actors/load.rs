@@ -20,10 +20,10 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-pub use self::histogram::Histogram;
+use self::histogram::Histogram;
 use self::member::Member;
-pub use self::tally::{LoadCounts, LoadReport, Pull};
-use self::tally::{Tally, add};
+use self::tally::Tally;
+pub(super) use self::tally::{LoadCounts, LoadReport};
 
 /// Maximum time for an actor to join and receive its first weights. A router without room for another session never
 /// answers.
@@ -31,27 +31,26 @@ const JOIN_TIMEOUT: Duration = Duration::from_secs(150);
 
 /// Configuration of the simulated actors in one process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LoadPlan {
+pub(super) struct LoadPlan {
     /// How each actor joins the bus.
-    pub bus: BusConfig,
+    pub(super) bus: BusConfig,
     /// Number of the first actor, which makes names unique across processes.
-    pub first_actor: usize,
+    pub(super) first_actor: usize,
     /// Number of actors, at least 1.
-    pub n_actors: usize,
+    pub(super) n_actors: usize,
     /// Steps per second of each actor; 0 sends as fast as answers arrive.
-    pub steps_per_s: f64,
+    pub(super) steps_per_s: f64,
     /// Maximum number of segments per actor that wait for an answer at once.
-    pub n_outstanding: usize,
+    pub(super) n_outstanding: usize,
     /// Interval between publications of an actor's metrics, in milliseconds.
-    pub metrics_period_ms: u64,
+    pub(super) metrics_period_ms: u64,
     /// Maximum time to wait for answers at the end, in milliseconds.
-    pub drain_timeout_ms: u64,
+    pub(super) drain_timeout_ms: u64,
 }
 
 /// Simulated actors that have joined the bus.
 #[derive(Debug)]
-pub struct Load {
+pub(super) struct Load {
     plan: LoadPlan,
     members: Vec<Arc<Member>>,
     /// Why fewer joined than planned.
@@ -60,7 +59,7 @@ pub struct Load {
 
 /// What all actors of a process send, and when.
 #[derive(Debug)]
-pub(crate) struct Script {
+pub(super) struct Script {
     segments: Vec<Trajectory>,
     /// Encoded size of each segment, with a name and numbers of typical length.
     n_bytes: Vec<usize>,
@@ -77,7 +76,7 @@ impl Load {
     ///
     /// # Errors
     /// If the first actor cannot join, or the learner sends no weights.
-    pub async fn open(plan: LoadPlan) -> anyhow::Result<Self> {
+    pub(super) async fn open(plan: LoadPlan) -> anyhow::Result<Self> {
         let mut members = Vec::with_capacity(plan.n_actors);
         let mut shortfall = None;
         for number in plan.first_actor..plan.first_actor + plan.n_actors {
@@ -102,12 +101,12 @@ impl Load {
     }
 
     /// Returns the number of actors that have joined.
-    pub fn n_actors(&self) -> usize {
+    pub(super) fn n_actors(&self) -> usize {
         self.members.len()
     }
 
     /// Returns why fewer have joined than planned.
-    pub fn shortfall(&self) -> Option<&str> {
+    pub(super) fn shortfall(&self) -> Option<&str> {
         self.shortfall.as_deref()
     }
 
@@ -116,7 +115,7 @@ impl Load {
     ///
     /// # Errors
     /// If there is nothing to send, or a task panicked.
-    pub async fn run(&self, segments: Vec<Trajectory>, stop: CancellationToken) -> anyhow::Result<LoadReport> {
+    pub(super) async fn run(&self, segments: Vec<Trajectory>, stop: CancellationToken) -> anyhow::Result<LoadReport> {
         let script = Arc::new(Script::new(segments, self.plan.steps_per_s)?);
         let (start, give_up) = (Instant::now(), CancellationToken::new());
         let mut tasks = JoinSet::new();
@@ -140,12 +139,13 @@ impl Load {
         let elapsed = start.elapsed();
         let drained = async { while tasks.join_next().await.is_some() {} };
         let drain_timeout = Duration::from_millis(self.plan.drain_timeout_ms);
-        let in_time = tokio::time::timeout(drain_timeout, drained).await.is_ok();
+        // Afterwards, the tasks count what still has no answer.
+        let _: Result<(), _> = tokio::time::timeout(drain_timeout, drained).await;
         give_up.cancel();
         while let Some(ended) = tasks.join_next().await {
             ended.context("a simulated actor panicked")?;
         }
-        let mut report = LoadReport { elapsed_s: elapsed.as_secs_f64(), drained: in_time, ..LoadReport::default() };
+        let mut report = LoadReport { elapsed_s: elapsed.as_secs_f64(), ..LoadReport::default() };
         while let Some(ended) = watchers.join_next().await {
             let (tally, pulls) = ended.context("a simulated actor panicked")?;
             report.n_actors += 1;
@@ -153,14 +153,14 @@ impl Load {
             report.pulls.push(pulls);
         }
         for member in &self.members {
-            add(&mut report.pulls_failed_total, member.counts().pulls_failed_total);
-            add(&mut report.weights_invalid_total, member.counts().weights_invalid_total);
+            report.pulls_failed_total += member.counts().pulls_failed_total;
+            report.weights_invalid_total += member.counts().weights_invalid_total;
         }
         Ok(report)
     }
 
     /// Leaves the bus.
-    pub async fn close(self) {
+    pub(super) async fn close(self) {
         for member in &self.members {
             member.close().await;
         }

@@ -1,6 +1,6 @@
 //! A report as text.
 
-use std::fmt::Write;
+use std::fmt::{self, Write};
 
 use super::report::{Report, Roles};
 use super::usage::MemorySummary;
@@ -8,12 +8,13 @@ use super::usage::MemorySummary;
 /// Renders the report, one topic per line.
 pub(super) fn render(report: &Report) -> String {
     let mut text = String::new();
-    // Writing to a string cannot fail.
-    let _ = write_all(&mut text, report);
+    for write in [write_pace, write_usage, write_weights, write_counts] {
+        write(&mut text, report).expect("writing to a string cannot fail");
+    }
     text
 }
 
-fn write_all(out: &mut String, report: &Report) -> std::fmt::Result {
+fn write_pace(out: &mut String, report: &Report) -> fmt::Result {
     let pace = if report.rate > 0.0 { format!("{} steps/s each", report.rate) } else { "full speed".to_owned() };
     let load = report.machine_load.map_or_else(|| "unknown".to_owned(), |load| format!("{load:.1}"));
     writeln!(
@@ -31,7 +32,10 @@ fn write_all(out: &mut String, report: &Report) -> std::fmt::Result {
     let wire = report.loopback_bytes.map_or_else(String::new, |bytes| {
         format!(", {:.0} on the loopback interface with all else", bytes as f64 / (report.n_steps as f64).max(1.0))
     });
-    writeln!(out, "bytes/step     {:.0} of payload{wire}", report.payload_bytes_per_step)?;
+    writeln!(out, "bytes/step     {:.0} of payload{wire}", report.payload_bytes_per_step)
+}
+
+fn write_usage(out: &mut String, report: &Report) -> fmt::Result {
     let Roles { router, ingest, actors } = report.cpu_s_per_million_steps;
     writeln!(out, "CPU s/10⁶ steps router {router:.1}, ingest {ingest:.1}, actors {actors:.1}")?;
     let cores = |cpu_s: f64| cpu_s / report.elapsed_s;
@@ -52,7 +56,10 @@ fn write_all(out: &mut String, report: &Report) -> std::fmt::Result {
             )?;
         }
     }
-    write_weights(out, report)?;
+    Ok(())
+}
+
+fn write_counts(out: &mut String, report: &Report) -> fmt::Result {
     let (counts, ingest) = (&report.counts, &report.ingest);
     writeln!(
         out,
@@ -88,7 +95,7 @@ fn write_all(out: &mut String, report: &Report) -> std::fmt::Result {
     )
 }
 
-fn write_weights(out: &mut String, report: &Report) -> std::fmt::Result {
+fn write_weights(out: &mut String, report: &Report) -> fmt::Result {
     let weights = &report.weights;
     let n_failed = weights.pulls_failed_total;
     writeln!(

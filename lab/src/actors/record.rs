@@ -6,13 +6,11 @@ use std::path::{Path, PathBuf};
 use actor::Lockstep;
 use anyhow::Context;
 use blueprints::Catalog;
+use deploy::commands::{actor_setup, learner_setup};
+use deploy::config::Config;
 use learner::Learner;
 use proto::codec::encode_recording;
 use proto::{ActorId, Trajectory};
-
-use crate::commands::services::{actor_setup, learner_setup};
-use crate::config::Config;
-use crate::exit::Failure;
 
 /// Segments to record; more would hardly change their mean size.
 const N_SEGMENTS: usize = 16;
@@ -39,8 +37,8 @@ pub(super) struct Recording {
 ///
 /// # Errors
 /// When the configuration cannot be used or the folder cannot be written.
-pub(super) fn record(config: &Config, folder: &Path) -> Result<Recording, Failure> {
-    let weights = Learner::new(learner_setup(config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?.weights();
+pub(super) fn record(config: &Config, folder: &Path) -> anyhow::Result<Recording> {
+    let weights = Learner::new(learner_setup(config, None, Catalog::builtin())?)?.weights();
     let id = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;
     let mut setup = actor_setup(config, id);
     (setup.config.n_worlds, setup.config.n_threads) = (N_WORLDS, 1);

@@ -4,68 +4,57 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::Context;
 use bus::{AliveToken, Bus, TrajectoryServer, WeightsPublisher};
+use learner::{Learner, Mailbox, MailboxCounts};
 use proto::metrics::IngestCounts;
-use proto::{Role, Weights, WeightsVersion};
+use proto::{Role, Trajectory, Weights, WeightsVersion};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::{Learner, Mailbox, MailboxCounts};
+use super::weights::Moment;
 
 /// Interval at which the draining thread checks for shutdown while it waits for a batch.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// The settings of a sink.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SinkPlan {
+pub(super) struct SinkPlan {
     /// Steps per update.
-    pub steps_per_update: usize,
+    pub(super) steps_per_update: usize,
     /// Number of parameters of the published weights; `None` for the size of the network.
-    pub n_parameters: Option<usize>,
+    pub(super) n_parameters: Option<usize>,
     /// Interval between publications, milliseconds; 0 publishes only the first weights.
-    pub publish_every_ms: u64,
+    pub(super) publish_every_ms: u64,
 }
 
 /// The result of a sink.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SinkReport {
+pub(super) struct SinkReport {
     /// All messages, by result.
-    pub ingest: IngestCounts,
+    pub(super) ingest: IngestCounts,
     /// Valid messages, by result.
-    pub mailbox: MailboxCounts,
+    pub(super) mailbox: MailboxCounts,
     /// Trajectories taken by updates.
-    pub taken_total: u64,
+    pub(super) taken_total: u64,
     /// Trajectories not taken by any update.
-    pub waiting_total: u64,
+    pub(super) waiting_total: u64,
     /// Number of updates.
-    pub updates_total: u64,
-    /// Wrapping sum of the [`proto::Trajectory::fingerprint`]s of the accepted trajectories.
-    pub accepted_fingerprints: u64,
-    /// The published weights.
-    pub published: Vec<Publication>,
+    pub(super) updates_total: u64,
+    /// Wrapping sum of the [`Trajectory::fingerprint`]s of the accepted trajectories.
+    pub(super) accepted_fingerprints: u64,
+    /// The published weights, each with the time before its encoding.
+    pub(super) published: Vec<Moment>,
     /// Queries for weights refused because too many came.
-    pub queries_dropped_total: u64,
-}
-
-/// A publication of weights.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Publication {
-    /// The version.
-    pub version: u64,
-    /// Time before encoding, microseconds since 1970.
-    pub unix_us: u64,
+    pub(super) queries_dropped_total: u64,
 }
 
 /// A running sink.
 #[derive(Debug)]
-pub struct Sink {
+pub(super) struct Sink {
     plan: SinkPlan,
     bus: Bus,
     mailbox: Arc<Mailbox>,
@@ -73,7 +62,7 @@ pub struct Sink {
     publisher: WeightsPublisher,
     version: watch::Sender<WeightsVersion>,
     weights: Arc<Weights>,
-    published: Vec<Publication>,
+    published: Vec<Moment>,
     fingerprints: Arc<AtomicU64>,
     drain: Drain,
     _alive: AliveToken,
@@ -84,7 +73,7 @@ impl Sink {
     ///
     /// # Errors
     /// If the session fails or the thread cannot be started.
-    pub async fn open(learner: &Learner, plan: SinkPlan, bus: &Bus) -> anyhow::Result<Self> {
+    pub(super) async fn open(learner: &Learner, plan: SinkPlan, bus: &Bus) -> anyhow::Result<Self> {
         let mut weights = learner.weights();
         if let Some(n_parameters) = plan.n_parameters {
             weights.parameters.resize(n_parameters, 0.0);
@@ -92,7 +81,7 @@ impl Sink {
         let (version, current_version) = watch::channel(weights.version);
         let (mailbox, fingerprints) = (learner.mailbox(), Arc::new(AtomicU64::new(0)));
         let (inbox, sum) = (mailbox.clone(), fingerprints.clone());
-        let handler = move |trajectory: proto::Trajectory| {
+        let handler = move |trajectory: Trajectory| {
             let fingerprint = trajectory.fingerprint();
             inbox.push(trajectory)?;
             sum.fetch_add(fingerprint, Ordering::Relaxed);
@@ -119,7 +108,7 @@ impl Sink {
     ///
     /// # Errors
     /// If the session fails.
-    pub async fn publish_until(&mut self, stop: &CancellationToken) -> anyhow::Result<()> {
+    pub(super) async fn publish_until(&mut self, stop: &CancellationToken) -> anyhow::Result<()> {
         let period = Duration::from_millis(self.plan.publish_every_ms);
         loop {
             tokio::select! {
@@ -138,7 +127,7 @@ impl Sink {
     ///
     /// # Errors
     /// If the session fails or the draining thread panicked.
-    pub async fn close(self) -> anyhow::Result<SinkReport> {
+    pub(super) async fn close(self) -> anyhow::Result<SinkReport> {
         let ingest = self.server.counts();
         self.server.close().await?;
         let (taken_total, updates_total) = self.drain.stop()?;
@@ -156,7 +145,7 @@ impl Sink {
     }
 
     async fn publish(&mut self) -> anyhow::Result<()> {
-        self.published.push(Publication { version: self.weights.version.0, unix_us: unix_us() });
+        self.published.push(Moment::now(self.weights.version));
         Ok(self.publisher.publish(self.weights.clone()).await?)
     }
 }
@@ -190,9 +179,4 @@ impl Drain {
         self.stop.cancel();
         self.thread.join().map_err(|_| anyhow::anyhow!("the draining thread panicked"))
     }
-}
-
-fn unix_us() -> u64 {
-    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since_1970.as_micros()).unwrap_or(u64::MAX)
 }

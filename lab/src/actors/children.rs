@@ -10,10 +10,7 @@ use serde::Serialize;
 
 use super::parts::Note;
 
-/// Environment variables that would change what a process connects to.
-const FOREIGN: [&str; 3] = ["LODESTONE_CONNECT", "LODESTONE_LISTEN", "LODESTONE_KEYS"];
-
-/// A child process that runs this program.
+/// A child process that runs a command of this program.
 #[derive(Debug)]
 pub(super) struct Part {
     child: Child,
@@ -24,15 +21,12 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// Starts this program with `args`.
-    pub(super) fn start(name: impl Into<String>, args: &[&str]) -> anyhow::Result<Self> {
+    /// Starts this program with `role` as its command.
+    pub(super) fn start(name: impl Into<String>, role: &str) -> anyhow::Result<Self> {
         let name = name.into();
         let program = std::env::current_exe().context("finding this program")?;
         let mut command = Command::new(program);
-        for variable in FOREIGN {
-            command.env_remove(variable);
-        }
-        command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command.arg(role).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().with_context(|| format!("starting the {name}"))?;
         let (stdin, stdout) = (child.stdin.take(), child.stdout.take().context("a child has a stdout")?);
         let (sender, notes) = mpsc::channel();

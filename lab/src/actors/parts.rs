@@ -4,12 +4,13 @@
 use std::io::{self, BufRead, Write};
 use std::path::{Path, PathBuf};
 
-use actor::load::{Load, LoadPlan, LoadReport};
 use anyhow::Context;
 use blueprints::{Catalog, outside};
-use bus::BusConfig;
+use bus::{Bus, BusConfig, BusError};
+use deploy::commands::learner_setup;
+use deploy::config::{Base, merge};
+use deploy::exit::Failure;
 use learner::Learner;
-use learner::sink::{Sink, SinkPlan, SinkReport};
 use proto::Trajectory;
 use proto::codec::{MAX_RECORDING_BYTES, decode_recording};
 use serde::de::DeserializeOwned;
@@ -17,10 +18,8 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::join_bus;
-use crate::commands::services::learner_setup;
-use crate::config::{Base, merge};
-use crate::exit::Failure;
+use super::load::{Load, LoadPlan, LoadReport};
+use super::sink::{Sink, SinkPlan, SinkReport};
 
 /// Plan of the ingest process.
 #[derive(Debug, Serialize, Deserialize)]
@@ -64,22 +63,23 @@ pub(super) enum Note {
     Sent(LoadReport),
 }
 
-/// Runs `bench router`: like `router`, but exits with the process that measures.
-pub(super) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
+/// Runs `lab router`: like `lodestone router`, but exits with the process that measures.
+pub(crate) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
-    let Some(bus) = join_bus(&orders.plan().await?, &orders.gone).await? else { return Ok(()) };
+    let plan = orders.plan().await?;
+    let Some(bus) = orders.join(&plan).await? else { return Ok(()) };
     orders.gone.cancelled().await;
     bus.close().await;
     Ok(())
 }
 
-/// Runs `bench ingest`.
-pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
+/// Runs `lab ingest`.
+pub(crate) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let plan: IngestPlan = orders.plan().await?;
     let config = merge(&plan.config, "the plan", Base::Defaults, &[])?;
     let learner = Learner::new(learner_setup(&config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?;
-    let Some(bus) = join_bus(&plan.bus, &orders.gone).await? else { return Ok(()) };
+    let Some(bus) = orders.join(&plan.bus).await? else { return Ok(()) };
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
     say(&Note::Ready { n_actors: 0, shortfall: None })?;
     if orders.next().await == Some(Order::Go) {
@@ -91,8 +91,8 @@ pub(super) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs `bench load`.
-pub(super) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
+/// Runs `lab load`.
+pub(crate) async fn load(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let LoadOrder { load: plan, segments } = orders.plan().await?;
     let segments = segments.iter().map(|path| read_segment(path)).collect::<anyhow::Result<Vec<Trajectory>>>()?;
@@ -156,8 +156,16 @@ impl Orders {
             () = self.gone.cancelled() => None,
             line = self.lines.recv() => line,
         };
-        let line = line.context("stdin ended before the plan; `lodestone bench actors` starts this process")?;
+        let line = line.context("stdin ended before the plan; `lab actors` starts this process")?;
         serde_json::from_str(&line).context("reading the plan")
+    }
+
+    /// Joins the bus; `None` if the process shall end before a router answers.
+    async fn join(&self, config: &BusConfig) -> Result<Option<Bus>, BusError> {
+        tokio::select! {
+            () = self.gone.cancelled() => Ok(None),
+            bus = Bus::open(config) => bus.map(Some),
+        }
     }
 
     async fn next(&mut self) -> Option<Order> {

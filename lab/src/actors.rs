@@ -1,27 +1,36 @@
-//! `bench actors`: starts the processes, lets them run, and compares the counts of both ends.
+//! `lab actors`: starts the processes, lets them run, and compares the counts of both ends.
+
+mod children;
+mod load;
+pub(crate) mod parts;
+mod record;
+mod report;
+mod sink;
+mod text;
+mod usage;
+mod weights;
 
 use std::net::TcpListener;
 use std::path::Path;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
-use actor::load::{LoadPlan, LoadReport};
 use anyhow::Context;
 use bus::{BusConfig, BusMode};
-use learner::sink::SinkPlan;
+use deploy::config::Config;
+use deploy::exit::Failure;
+use deploy::live::Terminal;
+use rustix::process::{Resource, getrlimit};
 use tempfile::TempDir;
 
-use super::children::Part;
-use super::parts::{IngestPlan, LoadOrder, Note, Order};
-use super::record::{Recording, record};
-use super::report::{Report, Roles, Used};
-use super::text;
-use super::usage::{MemoryCurve, cpu_s, loopback_bytes};
-use crate::cli::{BenchActorsArgs, Transport};
-use crate::config::Config;
-use crate::exit::Failure;
-use crate::limits::max_files;
-use crate::live::Terminal;
+use self::children::Part;
+use self::load::{LoadPlan, LoadReport};
+use self::parts::{IngestPlan, LoadOrder, Note, Order};
+use self::record::{Recording, record};
+use self::report::{Report, Roles, Used};
+use self::sink::SinkPlan;
+use self::usage::{MemoryCurve, cpu_s, loopback_bytes};
+use crate::cli::{ActorsArgs, Transport};
 
 /// Default number of actors per process.
 const ACTORS_PER_PROCESS: u32 = 1000;
@@ -42,18 +51,23 @@ const DRAIN_TIMEOUT_MS: u64 = 60_000;
 ///
 /// # Errors
 /// When a process cannot be started or fails, or an acknowledged segment was lost.
-pub(super) fn run(args: &BenchActorsArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let Some(settings) = super::super::configure(&args.config, None, Vec::new(), terminal)? else { return Ok(()) };
-    let config = settings.config;
+pub(crate) fn run(args: &ActorsArgs, terminal: &Terminal) -> anyhow::Result<()> {
+    let config = args.config.load(None, Vec::new()).map_err(Failure::from)?.config;
+    config.validate().map_err(Failure::from)?;
+    if args.config.print_config {
+        terminal.print(&config.to_toml());
+        return Ok(());
+    }
     if args.processes.is_some_and(|n| n < args.leaves || n > args.actors) {
-        return Err(Failure::Usage("--processes: expected at least --leaves and at most --actors".to_owned()));
+        return Err(Failure::Usage("--processes: expected at least --leaves and at most --actors".to_owned()).into());
     }
     let folder = tempfile::tempdir().context("making a folder for segments and sockets")?;
     tracing::info!("recording segments");
     let recording = record(&config, folder.path())?;
     let ring = Ring::start(args, &config, &recording, folder)?;
     if let Some(shortfall) = &ring.shortfall {
-        let n_files = max_files().map_or_else(|| "any number of".to_owned(), |n| n.to_string());
+        let limit = getrlimit(Resource::Nofile).maximum;
+        let n_files = limit.map_or_else(|| "any number of".to_owned(), |n| n.to_string());
         tracing::warn!(
             "{} of {} actors have joined; each process may open {n_files} files. {shortfall}",
             ring.n_actors,
@@ -67,11 +81,8 @@ pub(super) fn run(args: &BenchActorsArgs, terminal: &Terminal) -> Result<(), Fai
         text::render(&report)
     };
     terminal.print(&shown);
-    if report.reconciled.agrees {
-        Ok(())
-    } else {
-        Err(Failure::Service(anyhow::anyhow!("the counts of both ends contradict each other")))
-    }
+    anyhow::ensure!(report.reconciled.agrees, "the counts of both ends contradict each other");
+    Ok(())
 }
 
 /// All processes of a measurement.
@@ -85,7 +96,7 @@ struct Ring {
 }
 
 impl Ring {
-    fn start(args: &BenchActorsArgs, config: &Config, recording: &Recording, folder: TempDir) -> anyhow::Result<Self> {
+    fn start(args: &ActorsArgs, config: &Config, recording: &Recording, folder: TempDir) -> anyhow::Result<Self> {
         let (root, routers, doors) = match &args.connect {
             Some(endpoint) => (endpoint.clone(), Vec::new(), vec![endpoint.clone()]),
             None => start_routers(args, folder.path())?,
@@ -101,7 +112,7 @@ impl Ring {
             n_parameters: args.weights_bytes.map(|bytes| bytes as usize / size_of::<f32>()),
             publish_every_ms: (args.weights_every * 1000.0) as u64,
         };
-        let mut ingest = Part::start("ingest", &["bench", "ingest"])?;
+        let mut ingest = Part::start("ingest", "ingest")?;
         ingest.tell(&IngestPlan { config: config.to_toml(), bus: bus(&root), sink })?;
         expect_ready(&ingest, READY_PATIENCE)?;
 
@@ -119,7 +130,7 @@ impl Ring {
                 metrics_period_ms: config.actor.metrics_period_ms,
                 drain_timeout_ms: DRAIN_TIMEOUT_MS,
             };
-            let mut part = Part::start(format!("process {i} of actors"), &["bench", "load"])?;
+            let mut part = Part::start(format!("process {i} of actors"), "load")?;
             part.tell(&LoadOrder { load, segments: recording.files.clone() })?;
             loads.push(part);
         }
@@ -134,7 +145,7 @@ impl Ring {
     }
 
     /// Lets the actors send for the given time and collects the reports of both ends.
-    fn measure(mut self, args: &BenchActorsArgs, recording: &Recording) -> anyhow::Result<Report> {
+    fn measure(mut self, args: &ActorsArgs, recording: &Recording) -> anyhow::Result<Report> {
         tracing::info!(n_actors = self.n_actors, seconds = args.seconds, "all have joined, sending");
         let (cpu_before, wire_before) = (self.cpu()?, loopback_bytes());
         for part in self.loads.iter_mut().chain([&mut self.ingest]) {
@@ -145,16 +156,10 @@ impl Ring {
         for load in &mut self.loads {
             load.tell(&Order::Stop)?;
         }
-        let mut sent = LoadReport { drained: true, ..LoadReport::default() };
+        let mut sent = LoadReport::default();
         for load in &self.loads {
             let Note::Sent(report) = load.hear(READY_PATIENCE)? else { anyhow::bail!("actors end with a report") };
-            sent.n_actors += report.n_actors;
-            sent.elapsed_s = sent.elapsed_s.max(report.elapsed_s);
-            sent.drained &= report.drained;
-            sent.counts.add(&report.counts);
-            sent.pulls.extend(report.pulls);
-            sent.pulls_failed_total += report.pulls_failed_total;
-            sent.weights_invalid_total += report.weights_invalid_total;
+            sent.add(report);
         }
         let cpu_after = self.cpu()?;
         let wire = loopback_bytes().zip(wire_before).map(|(after, before)| after.saturating_sub(before));
@@ -205,10 +210,10 @@ impl Ring {
 
 /// Starts the root router and its leaves. Returns the root's endpoint, all router processes, and the endpoints that
 /// actors join.
-fn start_routers(args: &BenchActorsArgs, folder: &Path) -> anyhow::Result<(String, Vec<Part>, Vec<String>)> {
+fn start_routers(args: &ActorsArgs, folder: &Path) -> anyhow::Result<(String, Vec<Part>, Vec<String>)> {
     let root = endpoint(args.transport, folder, "root")?;
     let start = |name: String, listen: &str, connect: Option<&String>| {
-        let mut router = Part::start(name, &["bench", "router"])?;
+        let mut router = Part::start(name, "router")?;
         let (listen, connect) = (vec![listen.to_owned()], connect.cloned().into_iter().collect());
         router.tell(&BusConfig { mode: BusMode::Router, listen, connect, ..BusConfig::default() })?;
         anyhow::Ok(router)

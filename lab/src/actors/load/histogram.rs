@@ -10,17 +10,17 @@ const N_PARTS: u64 = 32;
 
 /// A histogram of durations.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Histogram {
+pub(crate) struct Histogram {
     /// Number of durations in each bucket; see [`upper_us`].
     buckets: BTreeMap<u16, u64>,
-    n: u64,
+    /// Number of durations.
+    pub(super) n: u64,
     max_us: u64,
 }
 
 impl Histogram {
     /// Counts a duration.
-    pub fn add(&mut self, time: Duration) {
+    pub(crate) fn add(&mut self, time: Duration) {
         let us = u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
         *self.buckets.entry(bucket(us)).or_default() += 1;
         self.n += 1;
@@ -28,7 +28,7 @@ impl Histogram {
     }
 
     /// Adds the counts of `other`.
-    pub fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         for (&bucket, n) in &other.buckets {
             *self.buckets.entry(bucket).or_default() += n;
         }
@@ -36,13 +36,8 @@ impl Histogram {
         self.max_us = self.max_us.max(other.max_us);
     }
 
-    /// Returns the number of durations counted.
-    pub fn n(&self) -> u64 {
-        self.n
-    }
-
     /// Returns the quantile at `share`, 0 to 1, at most 3 % too long; `None` if nothing was counted.
-    pub fn quantile(&self, share: f64) -> Option<Duration> {
+    pub(crate) fn quantile(&self, share: f64) -> Option<Duration> {
         let rank = ((share * self.n as f64).ceil() as u64).clamp(1, self.n.max(1));
         let mut n_below = 0;
         let bucket = self.buckets.iter().find_map(|(&bucket, n)| {
@@ -53,7 +48,7 @@ impl Histogram {
     }
 
     /// Returns the longest duration; zero if nothing was counted.
-    pub fn max(&self) -> Duration {
+    pub(crate) fn max(&self) -> Duration {
         Duration::from_micros(self.max_us)
     }
 }
@@ -97,7 +92,7 @@ mod tests {
         (1..=10).for_each(|ms| high.add(Duration::from_millis(ms)));
         low.merge(&high);
         assert_eq!(
-            (low.n(), low.quantile(0.5), low.max()),
+            (low.n, low.quantile(0.5), low.max()),
             (40, Some(Duration::from_micros(20)), Duration::from_millis(10))
         );
         assert_eq!(low.quantile(1.0), Some(Duration::from_millis(10)));

@@ -2,14 +2,14 @@
 
 use std::ops::Sub;
 
-use actor::load::{LoadCounts, LoadReport};
-use learner::sink::SinkReport;
 use serde::Serialize;
 
+use super::load::{LoadCounts, LoadReport};
 use super::record::Recording;
+use super::sink::SinkReport;
 use super::usage::{MemoryCurve, MemorySummary, machine_load};
 use super::weights::{Delivery, deliveries};
-use crate::cli::BenchActorsArgs;
+use crate::cli::ActorsArgs;
 
 /// One value for each kind of process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -30,7 +30,7 @@ impl Sub for Roles<f64> {
     }
 }
 
-/// What `bench actors` prints.
+/// What `lab actors` prints.
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
     pub(super) n_actors_asked: u32,
@@ -119,7 +119,7 @@ pub(super) struct Used {
 
 impl Report {
     pub(super) fn new(
-        args: &BenchActorsArgs,
+        args: &ActorsArgs,
         recording: &Recording,
         sent: &LoadReport,
         sank: &SinkReport,

@@ -1,14 +1,26 @@
-//! `bench actors` on a small scale: the counts of both ends, independent of the machine's speed.
+//! `lab actors` on a small scale: the counts of both ends, independent of the machine's speed.
+
+#![allow(clippy::unwrap_used)]
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Command, Stdio};
 
 use serde_json::Value;
 
-use crate::support::program::lodestone;
+/// `lab actors`, without the caller's `LODESTONE_*` variables and `RUST_LOG`.
+fn actors() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lab"));
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
+        command.env_remove(name);
+    }
+    command.arg("actors");
+    command
+}
 
 /// Runs 20 actors of the smallest preset for two seconds.
 fn measure(args: &[&str]) -> Value {
-    let folder = tempfile::tempdir().unwrap();
-    let common = ["bench", "actors", "--preset", "near-goal", "--actors", "20", "--for", "2", "--json"];
-    let output = lodestone(folder.path()).args(common).args(args).output().unwrap();
+    let common = ["--preset", "near-goal", "--actors", "20", "--for", "2", "--json"];
+    let output = actors().args(common).args(args).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
@@ -42,9 +54,24 @@ fn below_two_leaves_and_at_full_speed_they_lose_nothing_either() {
 
 #[test]
 fn contradicting_arguments_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let output =
-        lodestone(folder.path()).args(["bench", "actors", "--processes", "2", "--leaves", "3"]).output().unwrap();
+    let output = actors().args(["--processes", "2", "--leaves", "3"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("--processes"));
+}
+
+#[test]
+fn no_process_outlives_the_one_that_measures() {
+    let mut command = actors();
+    command.args(["--preset", "near-goal", "--actors", "2", "--for", "600"]).stderr(Stdio::piped());
+    let mut measuring = command.spawn().unwrap();
+    let mut log = BufReader::new(measuring.stderr.take().unwrap());
+    let mut line = String::new();
+    while !line.contains("all have joined") {
+        line.clear();
+        assert!(log.read_line(&mut line).unwrap() > 0, "it ended early");
+    }
+    measuring.kill().unwrap();
+    measuring.wait().unwrap();
+    // All processes share this pipe, so it ends with the last of them.
+    log.read_to_end(&mut Vec::new()).unwrap();
 }

@@ -1,0 +1,161 @@
+//! Simulated actors against a learner that refuses some segments.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use blueprints::{BlockIdx, N_BLOCKS};
+use bus::WeightsPublisher;
+use proto::{
+    Action, BehaviorPolicy, Gripper, Normalization, Pose, Refusal, RewardTerms, Scene, Start, Status, Task, Transition,
+    Weights, WeightsVersion,
+};
+use tokio::sync::{mpsc, watch};
+
+use super::*;
+use crate::actors::weights::Moment;
+
+/// A segment of `n_steps` steps in which nothing moves.
+fn segment(n_steps: usize) -> Trajectory {
+    let scene = Scene {
+        blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] }),
+        speeds_mps: [0.0; N_BLOCKS],
+        joints: Vec::new(),
+        grippers: [Some(Gripper::IDLE); 2],
+        n_heavy_contacts: 0,
+    };
+    let transition = Transition {
+        scene: scene.clone(),
+        action: Action { choices: [BlockIdx::all().next(), BlockIdx::all().nth(1)], moves: [[0.0; 6]; N_BLOCKS] },
+        proposals: [None; 2],
+        behavior_log_prob: 0.0,
+        reward: RewardTerms::default(),
+    };
+    let mut blocks = BlockIdx::all();
+    Trajectory {
+        actor: "recorded".parse().unwrap(),
+        epoch: 1,
+        seq: 0,
+        weights_version: WeightsVersion(0),
+        settings_hash: 0,
+        task: Task {
+            blueprint: "2_000".parse().unwrap(),
+            assignment: std::array::from_fn(|_| blocks.next().unwrap()),
+            start: Start::Scattered,
+            seed: 5,
+        },
+        behavior_policy: BehaviorPolicy::Sampled,
+        first_step: 0,
+        n_burn_in_steps: 0,
+        transitions: vec![transition; n_steps],
+        last_scene: scene,
+        status: Status::Running,
+        outcome: None,
+    }
+}
+
+fn weights(version: u64) -> Arc<Weights> {
+    Arc::new(Weights {
+        version: WeightsVersion(version),
+        n_env_steps: 0,
+        network_hash: 0,
+        settings: Default::default(),
+        parameters: vec![0.0; 4],
+        normalization: Normalization::default(),
+        task_probabilities: [("2_000".parse().unwrap(), 1.0)].into(),
+        reverse_reach: Default::default(),
+    })
+}
+
+#[test]
+fn segments_are_due_when_their_steps_are_stepped() {
+    let script = Script::new(vec![segment(4), segment(2)], 2.0).unwrap();
+    // Steps 4, 6, 10, and 12 at two per second.
+    let due: Vec<_> = (0..4).map(|seq| script.due(seq).unwrap().as_secs_f64()).collect();
+    assert_eq!(due, [2.0, 3.0, 5.0, 6.0]);
+    // A segment takes 1.5 s on average.
+    let phases: Vec<_> = (0..3).map(|number| script.phase(number).as_secs_f64()).collect();
+    assert!(phases[0] == 0.0 && (phases[1] - 0.927).abs() < 1e-3 && (phases[2] - 0.354).abs() < 1e-3, "{phases:?}");
+    let fast = Script::new(vec![segment(4)], 0.0).unwrap();
+    assert_eq!((fast.due(3), fast.phase(3)), (None, Duration::ZERO));
+    assert!(Script::new(Vec::new(), 1.0).is_err());
+}
+
+/// Refuses every fifth segment of an actor as stale, and every seventh of the others because of a full mailbox.
+fn picky(accepted: mpsc::UnboundedSender<Trajectory>) -> impl Fn(Trajectory) -> Result<(), Refusal> {
+    let n_asked = AtomicU64::new(0);
+    move |trajectory: Trajectory| {
+        if trajectory.seq % 5 == 4 {
+            return Err(Refusal::Stale);
+        }
+        if n_asked.fetch_add(1, Ordering::Relaxed) % 7 == 6 {
+            return Err(Refusal::Full);
+        }
+        accepted.send(trajectory).map_err(|_| Refusal::Full)
+    }
+}
+
+/// Takes segments, publishes newer weights after 50, and stops the actors once enough have arrived.
+async fn receive(
+    mut received: mpsc::UnboundedReceiver<Trajectory>,
+    publisher: WeightsPublisher,
+    stop: CancellationToken,
+) -> Vec<Trajectory> {
+    let (mut taken, mut n_newer) = (Vec::new(), 0);
+    while let Some(trajectory) = received.recv().await {
+        n_newer += usize::from(trajectory.weights_version.0 == 4);
+        taken.push(trajectory);
+        if taken.len() == 50 {
+            publisher.publish(weights(4)).await.unwrap();
+        }
+        // Only an actor that has pulled the newer weights sends under their version.
+        if taken.len() >= 100 && n_newer >= 20 {
+            stop.cancel();
+        }
+    }
+    taken
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn both_ends_count_the_same_segments() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let (accepted, received) = mpsc::unbounded_channel();
+    let (_version, current_version) = watch::channel(WeightsVersion(3));
+    let server = bus.serve_trajectories(picky(accepted), current_version).await.unwrap();
+    let publisher = bus.weights_publisher().await.unwrap();
+    publisher.publish(weights(3)).await.unwrap();
+
+    let plan = LoadPlan {
+        bus: BusConfig::isolated_client(dir.path()),
+        first_actor: 10,
+        n_actors: 3,
+        steps_per_s: 0.0,
+        n_outstanding: 2,
+        metrics_period_ms: 50,
+        drain_timeout_ms: 60_000,
+    };
+    let load = Load::open(plan).await.unwrap();
+    assert_eq!((load.n_actors(), load.shortfall()), (3, None));
+    let stop = CancellationToken::new();
+    let receiving = tokio::spawn(receive(received, publisher, stop.clone()));
+    let running = load.run(vec![segment(4), segment(2)], stop);
+    let report = tokio::time::timeout(Duration::from_secs(60), running).await.expect("enough arrives in time").unwrap();
+    load.close().await;
+    let counts = server.counts();
+    server.close().await.unwrap();
+    bus.close().await;
+    let taken = receiving.await.unwrap();
+
+    assert_eq!((report.counts.invalid_total, &report.counts.first_error), (0, &None));
+    assert_eq!((report.n_actors, report.counts.in_doubt_total, report.counts.unsent_total), (3, 0, 0));
+    let ends = [report.counts.acked_total, counts.accepted_total, taken.len() as u64];
+    assert_eq!(ends, [ends[0]; 3]);
+    let sum = taken.iter().fold(0_u64, |sum, trajectory| sum.wrapping_add(trajectory.fingerprint()));
+    assert_eq!(report.counts.acked_fingerprints, sum);
+    let n_steps: usize = taken.iter().map(|trajectory| trajectory.transitions.len()).sum();
+    assert_eq!(report.counts.acked_steps_total, n_steps as u64);
+    assert_eq!((report.counts.stale_total, report.counts.full_total), (counts.stale_total, counts.full_total));
+    assert!(report.counts.stale_total > 0 && report.counts.full_total > 0);
+    assert_eq!(report.counts.ack_latency.n, report.counts.acked_total);
+    let versions = |pulls: &Vec<Moment>| pulls.iter().map(|pull| pull.version).collect::<Vec<_>>();
+    assert!(report.pulls.iter().any(|pulls| versions(pulls) == [3, 4]), "{:?}", report.pulls);
+}
