@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,16 @@ def gaussian() -> Policy:
     return _untrained({"node": 10, "edge": 36, "global_": 50, "n_grippers": 2}, False)
 
 
+def native(policy: Policy, action: str = "native") -> Any:
+    """Takes a policy to Rust, through a file."""
+    import lodestone
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "policy.safetensors")
+        policy.save(path)
+        return lodestone.Policy.load(path, action)
+
+
 def _untrained(sizes: dict[str, int], is_mixture: bool) -> Policy:
     encoder = {"attention": True, "self_edges": False, "n_layers": 2, "n_heads": 2, "head_dim": 8, "mlp_hidden": 32}
     made = GraphNetwork(Config(**sizes, **encoder, width=32, value_hidden=(16,), mixture=is_mixture))
@@ -116,7 +127,7 @@ def _untrained(sizes: dict[str, int], is_mixture: bool) -> Policy:
     network = {"encoder": {"kind": "gat", **encoder}, "width": 32, "n_grippers": n_grippers, "value_hidden": [16]}
     network |= {"scale": {"init_std": None, "max_std": None, "floor": 1e-6}}
     network |= {"move_head": "mixture"} if is_mixture else {}
-    flags = ("up_axis", "membership", "block_shape", "needed_moves")
+    flags = ("up_axis", "membership", "block_shape", "needed_moves", "saturation")
     features = {**dict.fromkeys(flags, not is_mixture), "n_grippers": n_grippers}
     policy = {"network": network, "features": features, "mask": "blueprint", "joint_form": "chosen-unique"}
     table = [{"name": name, "shape": list(value.shape)} for name, value in made.state_dict().items()]

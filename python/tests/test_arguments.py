@@ -12,6 +12,7 @@ import unittest
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import golden
 import lodestone
 import numpy as np
 from lodestone.batch import MAX_WORLDS, Batch
@@ -173,7 +174,7 @@ def methods() -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
     envs = lodestone.AssemblyVectorEnv(2, blueprint="2_000")
     pair, pair_flat = parallel_env(blueprint="2_000"), parallel_env(blueprint="2_000", action="flat")
     sb3 = AssemblyVecEnv(2, blueprint="2_000")
-    policy = lodestone.Policy.pretrained()
+    policy = golden.native(golden.gaussian())
     (seen, _), *_ = (one.reset(seed=1) for one in (env, flat, envs, pair, pair_flat))
     sb3.reset()
     several = (

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import golden
 import gymnasium
 import lodestone
 import numpy as np
@@ -139,7 +140,7 @@ class Copies(unittest.TestCase):
         seen = envs.reset(seed=1)[0]
         few = {name: values[:2] for name, values in seen.items()}
         for action in ("native", "flat"):
-            policy = lodestone.Policy.pretrained(action=action)
+            policy = golden.native(golden.gaussian(), action)
             policy.seed(7)
             for n, observation in ((2, few), (5, seen), (2, few)):
                 with self.subTest(action, n=n):

@@ -11,6 +11,7 @@ import os
 import unittest
 import warnings
 
+import golden
 import gymnasium
 import lodestone
 import numpy as np
@@ -116,7 +117,7 @@ class Agents(unittest.TestCase):
                     self.assertGreaterEqual(built.sum(), 7)
 
     def test_one_world_and_a_batch_agree(self) -> None:
-        policy = lodestone.Policy.pretrained()
+        policy = golden.native(golden.gaussian())
         env, envs = gymnasium.make(ID, blueprint="4_000"), gymnasium.make_vec(ID, num_envs=3, blueprint="4_000")
         one, many = env.reset(seed=6)[0], envs.reset(seed=5)[0]
         acted, batch = policy.act(env), policy.act(envs)
@@ -128,7 +129,7 @@ class Agents(unittest.TestCase):
         predicted, _ = policy.predict(many)
         np.testing.assert_array_equal(predicted["moves"], batch["moves"])
         flat = np.concatenate([many[name].reshape(3, -1) for name in ("nodes", "edges", "globals")], axis=1)
-        predicted, _ = lodestone.Policy.pretrained(action="flat").predict(flat)
+        predicted, _ = golden.native(golden.gaussian(), "flat").predict(flat)
         choices, moves = unflatten(predicted.reshape(3, 2, 22))
         np.testing.assert_array_equal(choices, batch["choices"])
         for gripper in range(2):
@@ -137,7 +138,7 @@ class Agents(unittest.TestCase):
         self.assertEqual(policy.evaluate(many).shape, (3,))
 
     def test_samples_follow_the_seed(self) -> None:
-        policy = lodestone.Policy.pretrained()
+        policy = golden.native(golden.gaussian())
         seen = gymnasium.make_vec(ID, num_envs=3, blueprint="4_000").reset(seed=1)[0]
         draws = []
         for seed in (1, 1, 2):
@@ -147,9 +148,9 @@ class Agents(unittest.TestCase):
         self.assertFalse(np.array_equal(draws[0], draws[2]))
 
     def test_what_does_not_fit_is_named(self) -> None:
-        policy = lodestone.Policy.pretrained()
+        policy = golden.native(golden.gaussian())
         paper = gymnasium.make(ID, features="paper").reset(seed=1)[0]
-        with self.assertRaisesRegex(ValueError, r"nodes has shape \(16, 3\): this policy expects \(1, 16, 23\)"):
+        with self.assertRaisesRegex(ValueError, r"nodes has shape \(16, 3\): this policy expects \(1, 16, 10\)"):
             policy.predict(paper)
         one = gymnasium.make(ID, settings={"n_grippers": 1})
         one.reset(seed=1)

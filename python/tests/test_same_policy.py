@@ -65,18 +65,10 @@ def seen_while_acting(policy: lodestone.Policy) -> list[NDArray[np.float32]]:
     return [np.stack([one[name] for one in seen]) for name in ("nodes", "edges", "globals")]
 
 
-def in_rust(policy: lodestone_torch.Policy) -> lodestone.Policy:
-    """Takes a policy through a file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "policy.safetensors")
-        policy.save(path)
-        return lodestone.Policy.load(path)
-
-
 class SameGaussian(unittest.TestCase):
     @classmethod
     def setUpClass(cls) -> None:
-        cls.seen = seen_while_acting(in_rust(golden.gaussian()))
+        cls.seen = seen_while_acting(golden.native(golden.gaussian()))
 
     def assert_close(self, ours: torch.Tensor, theirs: torch.Tensor, what: str) -> None:
         """Compares relative to the largest entry, because a single entry may happen to be close to 0."""
@@ -102,7 +94,7 @@ class SameGaussian(unittest.TestCase):
 
     def test_a_policy_is_the_same_in_both(self) -> None:
         self.assertEqual(len(self.seen[0]), len(BLUEPRINTS) * N_STEPS)
-        self.assert_same(golden.gaussian(), in_rust(golden.gaussian()))
+        self.assert_same(golden.gaussian(), golden.native(golden.gaussian()))
 
     def test_statistics_are_the_same_in_both(self) -> None:
         """Changes the parameters and adds statistics of features and values."""
@@ -127,7 +119,7 @@ class SameGaussian(unittest.TestCase):
             native, again = lodestone.Policy.load(path), lodestone_torch.Policy.load(path)
         self.assertEqual(native.version, policy.header["weights_version"] + 1)
         self.assert_same(again, native)
-        before = in_rust(golden.gaussian()).native.act(*self.seen, False)[2]
+        before = golden.native(golden.gaussian()).native.act(*self.seen, False)[2]
         self.assertGreater(np.abs(native.native.act(*self.seen, False)[2] - before).max(), 0.5)
 
 
@@ -137,7 +129,7 @@ class SameMixture(unittest.TestCase):
     def test_drawn_and_greedy_actions_have_the_same_log_probabilities(self) -> None:
         for n_grippers in (1, 2):
             policy = golden.mixture(n_grippers)
-            native = in_rust(policy)
+            native = golden.native(policy)
             envs = lodestone.AssemblyVectorEnv(
                 8, blueprint=BLUEPRINTS, features="paper", settings={"n_grippers": n_grippers}
             )
@@ -160,7 +152,7 @@ class SameMixture(unittest.TestCase):
             seen, *_ = envs.step(native.act(envs, deterministic=not sampled))
 
     def test_the_shipped_policy_saved_again_acts_bit_for_bit(self) -> None:
-        saved, shipped = in_rust(lodestone_torch.Policy.load(golden.PRETRAINED)), lodestone.Policy.pretrained()
+        saved, shipped = golden.native(lodestone_torch.Policy.load(golden.PRETRAINED)), lodestone.Policy.pretrained()
         envs = lodestone.AssemblyVectorEnv(len(BLUEPRINTS), blueprint=BLUEPRINTS)
         envs.reset(seed=1)
         for _ in range(N_STEPS):
@@ -209,7 +201,7 @@ class SameMixture(unittest.TestCase):
             self.assertLessEqual((logits.amax(-1) - found).max().item(), 1e-4)
 
     def test_drawn_actions_follow_the_seed_and_greedy_ones_need_none(self) -> None:
-        native = in_rust(golden.mixture())
+        native = golden.native(golden.mixture())
         for action in ("native", "flat"):
             envs = lodestone.AssemblyVectorEnv(3, blueprint="4_000", action=action)
             envs.reset(seed=1)
@@ -233,7 +225,7 @@ class SameMixture(unittest.TestCase):
         np.testing.assert_allclose(one["moves"], batch["moves"][0], atol=1e-5)
 
     def test_observations_alone_are_refused(self) -> None:
-        native = in_rust(golden.mixture())
+        native = golden.native(golden.mixture())
         env = lodestone.AssemblyEnv(blueprint="2_000", features="paper")
         seen, _ = env.reset(seed=1)
         for call in (native.predict, native.evaluate):
