@@ -41,9 +41,6 @@ settings! {
         pub block_shape: bool = true;
         /// Edges: the move that the receiver needs if the sender stays, at two scales.
         pub needed_moves: bool = true;
-        /// Nodes and edges: positions and distances saturate at 1 m, so that structures larger than those in training
-        /// look like the largest of them.
-        pub saturation: bool = false;
         /// Number of grippers in the globals; must equal the network's.
         pub n_grippers: u8 = 2;
     }

@@ -6,9 +6,6 @@
 //! m/s, angular velocities by 2π rad/s, and angles by π. Flags are the fields of [`FeatureConfig`]; an absent group
 //! shifts the indices after it down.
 //!
-//! With the flag `saturation`, what is divided by 0.5 m below has saturated first: a distance d becomes tanh(d / 1 m) ·
-//! 1 m, and a position keeps its direction.
-//!
 //! **Node** of block i:
 //!
 //! | index | meaning | frame, unit | flag |
@@ -64,8 +61,6 @@ pub const N_EDGES: usize = N_BLOCKS * (N_BLOCKS - 1);
 
 /// Scale of positions and distances, m.
 const POSITION_SCALE_M: f32 = 0.5;
-/// Bound of positions and distances with [`FeatureConfig::saturation`], m. Structures in training are mostly less high.
-const SATURATION_M: f32 = 1.0;
 /// Scale of half extents, m.
 const EXTENT_SCALE_M: f32 = 0.2;
 /// Scale of linear velocities, m/s.
@@ -101,23 +96,6 @@ impl FeatureSizes {
             edge: BASE_EDGE + on(config.needed_moves, 12),
             global: usize::from(config.n_grippers) * GRIPPER_PART,
         }
-    }
-}
-
-impl FeatureConfig {
-    /// Returns a distance as a feature; m.
-    fn distance(&self, x: f32) -> f32 {
-        if self.saturation {
-            (x / SATURATION_M).tanh() * (SATURATION_M / POSITION_SCALE_M)
-        } else {
-            x / POSITION_SCALE_M
-        }
-    }
-
-    /// Returns a position as a feature; m.
-    fn position(&self, v: Vector3<f32>) -> Vector3<f32> {
-        let norm = v.norm();
-        if self.saturation && norm > 0.0 { v * (self.distance(norm) / norm) } else { v / POSITION_SCALE_M }
     }
 }
 
@@ -167,7 +145,7 @@ fn write_node(
     frame: &Frame,
     to: &mut Writer<'_>,
 ) {
-    to.number(config.distance(frame.position.z));
+    to.number(frame.position.z / POSITION_SCALE_M);
     for g in 0..N_GRIPPERS {
         let held = scene.grippers[g].as_ref().and_then(|gripper| gripper.held);
         to.bit(held == Some(block));
@@ -214,26 +192,25 @@ fn write_edges(
                 // Current position of the same magnets of j in i's frame.
                 let now = offset + current * wanted_rotation.tr_mul(&(magnets - wanted_offset));
                 let mut writer = Writer::new(&mut edge[0..9]);
-                writer.vector(&config.position(magnets - now));
+                writer.vector(&((magnets - now) / POSITION_SCALE_M));
                 writer.two_columns(&(wanted_rotation * current.transpose()));
                 edge[21] = 1.0;
             }
             let mut writer = Writer::new(&mut edge[9..18]);
-            writer.vector(&config.position(offset - wanted_offset));
+            writer.vector(&((offset - wanted_offset) / POSITION_SCALE_M));
             writer.two_columns(&(current * wanted_rotation.transpose()));
             edge[23] = 1.0;
             if config.needed_moves {
-                write_needed_move(config, &offset, &current, &wanted_offset, &wanted_rotation, &mut edge[24..36]);
+                write_needed_move(&offset, &current, &wanted_offset, &wanted_rotation, &mut edge[24..36]);
             }
         }
-        Writer::new(&mut edge[18..21]).vector(&config.position(offset));
+        Writer::new(&mut edge[18..21]).vector(&(offset / POSITION_SCALE_M));
         edge[22] = f32::from(u8::from(connected[receiver.get()][sender.get()]));
     }
 }
 
 /// Writes the move, in the receiver's frame, that brings the receiver to its target pose relative to a fixed sender.
 fn write_needed_move(
-    config: &FeatureConfig,
     offset: &Vector3<f32>,
     current: &Matrix3<f32>,
     wanted_offset: &Vector3<f32>,
@@ -245,7 +222,7 @@ fn write_needed_move(
     let shift = offset - turn * wanted_offset;
     let turn = rotation_vector(&turn);
     let mut writer = Writer::new(to);
-    writer.vector(&config.position(shift));
+    writer.vector(&(shift / POSITION_SCALE_M));
     writer.vector(&shift.map(|x| (x / FINE_MOVE_M).tanh()));
     writer.vector(&(turn / std::f32::consts::PI));
     writer.vector(&turn.map(|x| (x / FINE_TURN_RAD).tanh()));

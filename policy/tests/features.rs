@@ -172,31 +172,6 @@ proptest! {
     }
 
     #[test]
-    fn saturation_shortens_positions_and_leaves_the_rest(scene in any_scene(), k in 0..34_usize) {
-        let config = FeatureConfig::default();
-        let saturated = FeatureConfig { saturation: true, ..config };
-        let (a, b) = (features(&scene, blueprint(k), &config), features(&scene, blueprint(k), &saturated));
-        // Of 0.5 m; the limit is 1 m.
-        let shorter = |v: &[f32]| {
-            let norm = v.iter().map(|x| x * x).sum::<f32>().sqrt();
-            v.iter().map(|x| if norm > 0.0 { x / norm * 2.0 * (norm / 2.0).tanh() } else { 0.0 }).collect::<Vec<f32>>()
-        };
-        for (part, sizes, places) in [
-            ((&a.nodes, &b.nodes), a.sizes.node, [0..1].as_slice()),
-            ((&a.edges, &b.edges), a.sizes.edge, &[0..3, 9..12, 18..21, 24..27]),
-        ] {
-            for (a, b) in part.0.chunks_exact(sizes).zip(part.1.chunks_exact(sizes)) {
-                let mut expected = a.to_vec();
-                for place in places {
-                    expected[place.clone()].copy_from_slice(&shorter(&a[place.clone()]));
-                }
-                prop_assert!(close(&expected, b), "{expected:?} {b:?}");
-            }
-        }
-        prop_assert_eq!(a.globals, b.globals);
-    }
-
-    #[test]
     fn the_needed_move_puts_the_receiver_in_place(scene in any_scene(), k in 0..34_usize) {
         let blueprint = blueprint(k);
         let link = blueprint.links()[0];

@@ -74,9 +74,9 @@ pub enum BehaviorPolicy {
     /// Actions sampled from the policy's distribution, the only source suited to policy gradients.
     #[default]
     Sampled,
-    /// The most probable actions.
+    /// The policy's most probable action, with noise.
     Greedy,
-    /// The scripted expert.
+    /// The expert, with noise.
     Expert,
 }
 

@@ -37,9 +37,9 @@ REWARD_TERMS = ("connected", "wrong", "magnets", "blocks", "force")
 # Bound of every feature. Only a diverged world exceeds it, and its features are clipped.
 MAX_FEATURE = 256.0
 SUCCESS, TIME_LIMIT, DIVERGED = 1, 2, 3
-# Named feature sets. The flags are those of `[policy.features]` in a configuration, where all but `saturation` are on by default.
+# Named feature sets. The flags are those of `[policy.features]` in a configuration, where all are on by default.
 FEATURES: dict[str, dict[str, bool]] = {
-    "all": {"saturation": True},
+    "all": {},
     "paper": {"up_axis": False, "membership": False, "block_shape": False, "needed_moves": False},
 }
 
