@@ -74,9 +74,9 @@ pub enum BehaviorPolicy {
     /// Actions sampled from the policy's distribution, the only source suited to policy gradients.
     #[default]
     Sampled,
-    /// The policy's most probable action, with noise.
+    /// The most probable actions.
     Greedy,
-    /// The expert, with noise.
+    /// The scripted expert.
     Expert,
 }
 

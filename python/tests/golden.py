@@ -127,7 +127,7 @@ def _untrained(sizes: dict[str, int], is_mixture: bool) -> Policy:
     network = {"encoder": {"kind": "gat", **encoder}, "width": 32, "n_grippers": n_grippers, "value_hidden": [16]}
     network |= {"scale": {"init_std": None, "max_std": None, "floor": 1e-6}}
     network |= {"move_head": "mixture"} if is_mixture else {}
-    flags = ("up_axis", "membership", "block_shape", "needed_moves", "saturation")
+    flags = ("up_axis", "membership", "block_shape", "needed_moves")
     features = {**dict.fromkeys(flags, not is_mixture), "n_grippers": n_grippers}
     policy = {"network": network, "features": features, "mask": "blueprint", "joint_form": "chosen-unique"}
     table = [{"name": name, "shape": list(value.shape)} for name, value in made.state_dict().items()]
