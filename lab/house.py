@@ -30,7 +30,14 @@ GOALS = {
     "lines of README.md": 120,
 }
 # What is there today, for the goals that are not reached yet. Lower these when a count falls; never raise one.
-CEILINGS: dict[str, int] = {}
+CEILINGS = {
+    "lines of Rust outside lab/": 77_100,
+    "of it without tests and comments": 40_100,
+    "settings": 185,
+    "commands": 19,
+    "direct dependencies": 54,
+    "passages of 12 equal lines": 1,
+}
 N_EQUAL = 12
 
 
