@@ -62,7 +62,7 @@ status_of_training() {
 # Prints the success over all blueprints from a LINE of the evaluator, for greedy and sampled actions if evaluated.
 status_of_success() {
     local way rest
-    for way in mode sampled; do
+    for way in greedy sampled; do
         rest=${1#*\""$way"\":}
         (($(number n_episodes "$rest") > 0)) || continue
         printf '%-10s %.1f%% of %d episodes, %s actions, after %d steps\n' success \

@@ -68,15 +68,15 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
         };
         family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
     };
-    let of_all = |name| samples(name, "gauge")["mode all"];
+    let of_all = |name| samples(name, "gauge")["greedy all"];
     let version = samples("eval_weights_version", "gauge")[""];
     let passes = History::read(&RunPaths::new(folder.path().join("run")).history()).unwrap();
     let pass = passes.iter().find(|pass| pass.weights_version.0 as f64 == version).unwrap();
     let success = pass.blueprints[0].greedy.success;
     assert_eq!(of_all("eval_group_success_ratio"), success.rate);
     assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
-    assert_eq!(samples("eval_group_episodes", "gauge")["mode train 2-6"], success.n_episodes as f64);
-    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["mode 2_000 train"], success.rate);
+    assert_eq!(samples("eval_group_episodes", "gauge")["greedy train 2-6"], success.n_episodes as f64);
+    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["greedy 2_000 train"], success.rate);
 
     let recorded = std::fs::read_to_string(folder.path().join("run/metrics.jsonl")).unwrap();
     let mut lines = recorded.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());

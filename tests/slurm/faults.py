@@ -183,7 +183,7 @@ def success_is_reached(training: Training) -> None:
         return run.success(n_passes=2) >= CLEARLY_ENOUGH and run.sampled_success() >= SETTLED
 
     wait_for("learner and evaluator see success", has_learned, 400, run.check)
-    assert "mode actions, after" in run.status(), run.status()
+    assert "greedy actions, after" in run.status(), run.status()
     training.figures["steps to success"] = run.n_steps()
     run.stop()
     run.launch(*training.options(n_steps=run.n_saved_steps() + 1))

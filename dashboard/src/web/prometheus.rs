@@ -385,9 +385,9 @@ mod tests {
         board.told(News::Session(samples::session(&["a", "b"])), now);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
-            ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"mode\"}", 0.45),
-            ("lodestone_eval_group_episodes{group=\"all\",acting=\"mode\"}", 20.0),
-            ("lodestone_eval_blueprint_success_ratio{blueprint=\"2_003\",split=\"train\",acting=\"mode\"}", 0.4),
+            ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"greedy\"}", 0.45),
+            ("lodestone_eval_group_episodes{group=\"all\",acting=\"greedy\"}", 20.0),
+            ("lodestone_eval_blueprint_success_ratio{blueprint=\"2_003\",split=\"train\",acting=\"greedy\"}", 0.4),
             ("lodestone_eval_weights_version", 20.0),
             ("lodestone_eval_env_steps", 200.0),
             ("lodestone_alive_processes{role=\"actor\"}", 2.0),

@@ -112,8 +112,10 @@ impl ConfigArgs {
 
     /// All overrides in order: the ablation, the variables, the flags of this struct, then `flags`.
     fn overrides(&self, flags: Vec<Override>) -> Result<Vec<Override>, ConfigError> {
-        let ablation = self.ablation.as_deref().and_then(Ablation::find);
-        let mut overrides = ablation.map_or_else(|| Ok(Vec::new()), Ablation::overrides)?;
+        let mut overrides = match self.ablation.as_deref() {
+            Some(name) => Ablation::find(name)?.overrides()?,
+            None => Vec::new(),
+        };
         overrides.extend(Override::from_variables(std::env::vars_os())?);
         for text in &self.set {
             overrides.push(Override::parse(text)?);

@@ -1,6 +1,6 @@
 //! The paper's ablations, as settings that are put over any preset.
 
-use super::{ConfigError, Override};
+use super::{ConfigError, Override, nearest, suggestion_or};
 
 /// A named change of a few settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,8 +60,17 @@ pub const ABLATIONS: &[Ablation] = &[
 
 impl Ablation {
     /// Finds an ablation by name.
-    pub fn find(name: &str) -> Option<&'static Self> {
-        ABLATIONS.iter().find(|ablation| ablation.name == name)
+    ///
+    /// # Errors
+    /// Names the existing ablations.
+    pub fn find(name: &str) -> Result<&'static Self, ConfigError> {
+        ABLATIONS.iter().find(|ablation| ablation.name == name).ok_or_else(|| {
+            let known: Vec<&str> = ABLATIONS.iter().map(|ablation| ablation.name).collect();
+            let others = format!("; there are {}", known.join(", "));
+            let suggestion = suggestion_or(&nearest(name, known.iter().copied()), &others);
+            let message = format!("there is no such ablation{suggestion}");
+            ConfigError::Value { origin: format!("ablation={name}"), message }
+        })
     }
 
     /// Its settings, and its name as the run's.
