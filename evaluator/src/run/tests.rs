@@ -27,7 +27,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let n_selected = selection.select(Catalog::builtin()).unwrap().len();
     let records = RunPaths::new(dir.path());
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(5), selection, episodes, ..Default::default() },
+        config: EvaluatorConfig { every: Every::Versions(2), selection, episodes, ..Default::default() },
         policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -60,17 +60,17 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     assert_eq!(report.summary.weights_version, untrained.version);
     assert_eq!(report.blueprints.len(), n_selected);
 
-    // Two versions later no evaluation is due; five versions later one is.
-    for passed in [2, 5] {
+    // One version later no evaluation is due; two versions later one is.
+    for passed in [1, 2] {
         let version = WeightsVersion(untrained.version.0 + passed);
         publisher.publish(Arc::new(Weights { version, ..untrained.clone() })).await.unwrap();
     }
     let is_later = |report: &Option<Arc<EvalReport>>| {
-        report.as_ref().is_some_and(|report| report.summary.weights_version.0 == untrained.version.0 + 5)
+        report.as_ref().is_some_and(|report| report.summary.weights_version.0 == untrained.version.0 + 2)
     };
     within(seen.wait_for(is_later)).await.unwrap();
     // Not due, but the last weights.
-    let last = WeightsVersion(untrained.version.0 + 6);
+    let last = WeightsVersion(untrained.version.0 + 3);
     tell.send_replace(Some(Arc::new(Weights { version: last, ..untrained.clone() })));
     assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 3 });
     assert_eq!(seen.borrow().as_ref().unwrap().summary.weights_version, last);
