@@ -129,7 +129,8 @@ def _untrained(sizes: dict[str, int], is_mixture: bool) -> Policy:
     network |= {"move_head": "mixture"} if is_mixture else {}
     flags = ("up_axis", "membership", "block_shape", "needed_moves")
     features = {**dict.fromkeys(flags, not is_mixture), "n_grippers": n_grippers}
-    policy = {"network": network, "features": features, "mask": "blueprint", "joint_form": "chosen-unique"}
+    policy = {"network": network, "features": features, "mask": "blueprint" if is_mixture else "none"}
+    policy |= {"joint_form": "chosen-unique"}
     table = [{"name": name, "shape": list(value.shape)} for name, value in made.state_dict().items()]
     header = {
         "format_version": 4,

@@ -281,7 +281,7 @@ def methods() -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
                     ({**seen, "edges": "x"}, "edges is 'x'"),
                 ),
                 *(
-                    ({**seen, "nodes": seen["nodes"][:3]}, "(3, 23)"),
+                    ({**seen, "nodes": seen["nodes"][:3]}, "(3, 10)"),
                     ({**seen, "globals": seen["globals"] * NAN}, "not finite"),
                 ),
             ),

@@ -211,8 +211,16 @@ class StableBaselines3(unittest.TestCase):
     def test_it_evaluates_our_policy(self) -> None:
         envs = AssemblyVecEnv(4, blueprint="2_000", starts="near-goal")
         envs.seed(1)
-        policy = lodestone.Policy.pretrained(action="flat")
-        returns, lengths = evaluate_policy(policy, VecMonitor(envs), n_eval_episodes=8, return_episode_rewards=True)
+        policy = lodestone.Policy.pretrained()
+
+        class OfWorlds:
+            """The policy draws from proposals, which it makes from the worlds and not from the observations."""
+
+            def predict(self, observation, state=None, episode_start=None, deterministic=True):
+                return policy.act(envs, deterministic), state
+
+        monitored = VecMonitor(envs)
+        returns, lengths = evaluate_policy(OfWorlds(), monitored, n_eval_episodes=8, return_episode_rewards=True)
         self.assertGreater(np.median(returns), 1.0)
         self.assertLess(np.median(lengths), 30)
 
