@@ -57,7 +57,7 @@ fn a_run_is_saved_judged_and_continued() {
     assert!(report["summary"]["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(report["summary"]["n_env_steps"], n_steps);
     let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
-    assert_eq!((n_episodes("sampled"), n_episodes("mode")), (Some(2), Some(0)));
+    assert_eq!((n_episodes("sampled"), n_episodes("greedy")), (Some(2), Some(0)));
 
     let goal = (n_steps + 256).to_string();
     let resumed = finished(lodestone(folder.path()).args(["train", "--resume", "run", "--steps", &goal, "--json"]));
