@@ -16,8 +16,8 @@ use crate::live::{self, EpisodeCounter, Terminal};
 
 /// Runs the episodes and prints the report; if `shutdown` comes first, the report of the episodes so far.
 ///
-/// The world, the seed, and, without `--split`, the blueprints of the last evaluation come from the configuration of
-/// the run that trained the policy, or from the defaults.
+/// The world and the seed come from the configuration of the run that trained the policy, or from the defaults. So do,
+/// without `--split`, the blueprints, which are those of the run's last evaluation; the shipped policy gets the paper's.
 ///
 /// # Errors
 /// When the policy or the run's configuration cannot be read, an episode cannot be started, or `shutdown` came first.
