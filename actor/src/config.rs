@@ -18,16 +18,10 @@ settings! {
         pub tasks: TaskConfig;
         /// Burn-in: first steps of an episode that are not learned from.
         pub burn_in: BurnInConfig;
-        /// Maximum number of segments that wait for the learner's answer at once.
-        pub n_outstanding: usize = 2, in 1..=16;
         /// Maximum number of segments kept while the learner does not accept them.
         pub backlog_limit: usize = 512, in 1..=100_000;
         /// What happens when the backlog is full.
         pub full_backlog: FullBacklog = FullBacklog::DropOldest;
-        /// Interval between publications of the actor's metrics, in milliseconds.
-        pub metrics_period_ms: u64 = 2000, in 50..=3_600_000;
-        /// Maximum time that shutdown waits for the backlog to be sent, in milliseconds.
-        pub drain_timeout_ms: u64 = 2000, in 0..=60_000;
     }
 
     /// Burn-in: in the first steps of some episodes, the policy acts greedily and nothing is learned (an extension).
@@ -66,11 +60,10 @@ mod tests {
 
     #[test]
     fn an_error_names_field_value_and_range() {
-        let table: [(ActorConfig, &str); 5] = [
+        let table: [(ActorConfig, &str); 4] = [
             (ActorConfig { n_threads: 0, ..Default::default() }, "actor.n_threads = 0: expected 1..=64"),
             (ActorConfig { n_worlds: 2000, ..Default::default() }, "actor.n_worlds = 2000: expected 1..=1024"),
             (ActorConfig { segment_len: 0, ..Default::default() }, "actor.segment_len = 0: expected 1..=1000"),
-            (ActorConfig { n_outstanding: 17, ..Default::default() }, "actor.n_outstanding = 17: expected 1..=16"),
             (ActorConfig { backlog_limit: 0, ..Default::default() }, "actor.backlog_limit = 0: expected 1..=100000"),
         ];
         for (config, message) in table {

@@ -24,7 +24,7 @@ pub use environment::EnvironmentConfig;
 pub use lockstep::Lockstep;
 pub use policy::PolicyConfig;
 pub use rollout::{Rollout, RolloutCounters, RolloutError, RolloutSetup};
-pub use run::{Summary, run};
+pub use run::{METRICS_PERIOD, N_OUTSTANDING, Summary, run};
 pub use segment::{Identity, SegmentBuilder};
 pub use setup::ActorSetup;
 pub use streams::Life;

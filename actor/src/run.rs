@@ -23,6 +23,15 @@ use crate::segment::Identity;
 use crate::setup::ActorSetup;
 use stepping::step_worlds;
 
+/// Maximum number of segments that wait for the learner's answer at once.
+pub const N_OUTSTANDING: usize = 2;
+
+/// Interval between publications of an actor's metrics.
+pub const METRICS_PERIOD: Duration = Duration::from_secs(2);
+
+/// Maximum time that shutdown waits for the backlog to be sent.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(2);
+
 /// Maximum number of attempts to send a segment that gets no answer.
 const MAX_ATTEMPTS: usize = 3;
 
@@ -47,8 +56,7 @@ pub struct Summary {
     pub dropped: ActorDrops,
 }
 
-/// Rolls out from the first weights until `shutdown`, then sends the remaining segments as long as the configuration
-/// allows.
+/// Rolls out from the first weights until `shutdown`, then sends the remaining segments for up to 2 s.
 ///
 /// Stepping continues while the learner is away, unless a full backlog pauses it. The run's seed, the actor's name, its
 /// start time, and the version of the first weights determine tasks and actions. Unusable weights are counted, and the
@@ -113,9 +121,9 @@ pub async fn run(
         n_worlds: (config.n_threads * config.n_worlds) as u64,
         start: Instant::now(),
     };
-    let reporting = tokio::spawn(reporter.run(Duration::from_millis(config.metrics_period_ms)));
+    let reporting = tokio::spawn(reporter.run());
     let mut senders = JoinSet::new();
-    for _ in 0..config.n_outstanding {
+    for _ in 0..N_OUTSTANDING {
         senders.spawn(send_all(shared.clone()));
     }
     let mut threads = JoinSet::new();
@@ -130,9 +138,7 @@ pub async fn run(
 
     let stepped = shared.stop_with_first(&mut threads).await;
     // Segments that arrive after the senders have ended are counted below.
-    let drained = tokio::time::timeout(Duration::from_millis(config.drain_timeout_ms), async {
-        while senders.join_next().await.is_some() {}
-    });
+    let drained = tokio::time::timeout(DRAIN_TIMEOUT, async { while senders.join_next().await.is_some() {} });
     if drained.await.is_err() {
         shared.give_up.cancel();
         while senders.join_next().await.is_some() {}
@@ -352,11 +358,11 @@ struct Reporter {
 }
 
 impl Reporter {
-    async fn run(self, period: Duration) {
+    async fn run(self) {
         let mut speed = Speed::default();
         loop {
             let more = tokio::select! {
-                () = tokio::time::sleep(period) => true,
+                () = tokio::time::sleep(METRICS_PERIOD) => true,
                 () = self.shared.counted.cancelled() => false,
             };
             let (now, report) = (Instant::now(), self.shared.report());

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
-use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
+use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::sample_assignment;
 use proto::{Start, Task, Weights, settings};
 use rand::RngExt;
@@ -32,14 +32,8 @@ settings! {
             in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
         /// Probability that a generated structure with the same number of blocks replaces the goal (an extension). It
         /// is seeded like everything else, and never has the shape of a held-out structure, even mirrored, with other
-        /// poles, or built of other blocks.
+        /// poles, or built of other blocks. The styles of [`Style::TRAINING`] are equally likely where the size allows.
         pub generated_probability: f64 = 0.0, in 0.0..=1.0;
-        /// Styles of generated structures, equally likely where the size allows. By default without `longest` and
-        /// `tallest`, because the held-out structures of those splits have these styles.
-        pub generated_styles: Vec<Style> = Style::TRAINING.to_vec(),
-            where |c| !c.generated_styles.is_empty() => "at least one style";
-        /// Shuffles equal blocks in every episode, because the policy sees slot numbers.
-        pub shuffle_blocks: bool = true;
     }
 }
 
@@ -103,7 +97,7 @@ impl TaskConfig {
         }
         let ids = self.filter.select(catalog)?;
         let sizes = ids.iter().filter_map(|id| Some(catalog.find(id)?.n_blocks()));
-        Ok(Some(Draws::new(self.generated_styles.iter().copied(), sizes)))
+        Ok(Some(Draws::new(Style::TRAINING, sizes)))
     }
 }
 
@@ -182,15 +176,16 @@ impl TaskSampler {
         let replaced = rng.random_bool(self.config.generated_probability);
         let generated = if replaced { self.draw_generated(catalog, n_blocks, rng) } else { None };
         let blueprint = generated.unwrap_or_else(|| blueprint.clone());
-        let assignment = self.draw_assignment(rng);
+        // Equal blocks are shuffled in every episode, because the policy sees slot numbers.
+        let assignment = sample_assignment(rng);
         let start = self.draw_start(&blueprint, n_blocks, rng);
         Task { blueprint, assignment, start, seed: rng.random() }
     }
 
     /// Draws a generated structure for training; `None` if a few attempts fail.
     fn draw_generated(&self, catalog: &Catalog, n_blocks: usize, rng: &mut ChaCha8Rng) -> Option<BlueprintId> {
-        let fits = |style: &&Style| style.sizes().contains(&n_blocks);
-        let styles: Vec<Style> = self.config.generated_styles.iter().filter(fits).copied().collect();
+        let fits = |style: &Style| style.sizes().contains(&n_blocks);
+        let styles: Vec<Style> = Style::TRAINING.into_iter().filter(fits).collect();
         if styles.is_empty() {
             return None;
         }
@@ -213,14 +208,6 @@ impl TaskSampler {
         let last = self.goals.iter().rev().find(|(.., probability)| *probability > 0.0);
         let (id, n_blocks, _) = drawn.or(last).expect("a sampler has at least one goal with a positive probability");
         (id, *n_blocks)
-    }
-
-    fn draw_assignment(&self, rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
-        if self.config.shuffle_blocks {
-            return sample_assignment(rng);
-        }
-        let mut identity = BlockIdx::all();
-        std::array::from_fn(|_| identity.next().expect("there are as many indices as blocks"))
     }
 
     fn draw_start(&self, goal: &BlueprintId, n_blocks: usize, rng: &mut ChaCha8Rng) -> Start {

@@ -8,9 +8,15 @@ use serde_json::json;
 use super::access;
 use super::gate::Gate;
 use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_encrypted, is_endpoint, is_reachable};
-use proto::codec::{MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES};
+use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::setting::Section;
 use proto::{InvalidSetting, keys, settings};
+
+/// Time that a connection gets to become a member of the bus, in milliseconds; a router drops and counts the others.
+pub(super) const JOIN_TIMEOUT_MS: u64 = 4_000;
+
+/// Largest message that a process receives, in bytes: more than the largest weights, which are the largest messages.
+const MAX_MESSAGE_BYTES: usize = MAX_WEIGHTS_BYTES + (7 << 20);
 
 settings! {
     /// Configuration of a process's bus session.
@@ -28,22 +34,10 @@ settings! {
         /// Endpoints to connect to: the router for a client, other routers for a router.
         pub connect: Vec<String> = Vec::new(),
             where |c| c.mode == BusMode::Router || !c.connect.is_empty() => "a router's endpoint for a client, such as tcp/HOST:7447 with --connect";
-        /// Time that a connection gets to become a member of the bus, in milliseconds; a router drops and counts the
-        /// others.
-        pub join_timeout_ms: u64 = 4_000, in 100..=600_000;
-        /// Timeout for the learner's answer to a trajectory, in milliseconds.
-        pub ack_timeout_ms: u64 = 10_000, in 100..=600_000;
-        /// Timeout for a pull of the weights, in milliseconds.
-        pub pull_timeout_ms: u64 = 60_000, in 100..=600_000;
         /// Rate at which the learner answers pulls of the weights, in 10^6 bytes per second. Simultaneous pulls take
         /// turns, so that thousands of them do not fill all buffers at once. The bytes of one second may go out at
         /// once.
         pub weights_mb_per_s: u64 = 1000, in 1..=1_000_000;
-        /// Maximum number of trajectories that wait to be decoded at the learner; more are refused as `Full`.
-        pub ingest_queue: usize = 256, in 1..=65_536;
-        /// Largest message that this process receives, in bytes; by default, more than the codec allows. Runs of
-        /// earlier versions use 72 MiB, which is enough for networks of 18 million parameters.
-        pub max_message_bytes: usize = MAX_TRAJECTORY_BYTES.max(MAX_WEIGHTS_BYTES) + (7 << 20), in 65 << 20..=1 << 30;
         /// Credentials of this process. Listening where other machines can connect needs keys.
         pub security: SecurityConfig;
     }
@@ -180,7 +174,7 @@ impl BusConfig {
             // Peers are configured, never discovered, because any discovered process could overwrite any key.
             "scouting": { "delay": 0, "multicast": { "enabled": false }, "gossip": { "enabled": false } },
             "transport": {
-                "unicast": { "max_sessions": 8192, "accept_pending": 1024, "accept_timeout": self.join_timeout_ms },
+                "unicast": { "max_sessions": 8192, "accept_pending": 1024, "accept_timeout": JOIN_TIMEOUT_MS },
                 "link": {
                     "tx": {
                         "lease": 6000,
@@ -190,7 +184,7 @@ impl BusConfig {
                         // as gone.
                         "queue": { "congestion_control": { "block": { "wait_before_close": 8_000_000 } } },
                     },
-                    "rx": { "buffer_size": 1 << 20, "max_message_size": self.max_message_bytes },
+                    "rx": { "buffer_size": 1 << 20, "max_message_size": MAX_MESSAGE_BYTES },
                 },
             },
         });
@@ -265,8 +259,6 @@ mod tests {
             |c| c.mode = BusMode::Client,
             "bus.connect = []: expected a router's endpoint for a client, such as tcp/HOST:7447 with --connect",
         );
-        check(|c| c.ack_timeout_ms = 5, "bus.ack_timeout_ms = 5: expected 100..=600000");
-        check(|c| c.ingest_queue = 0, "bus.ingest_queue = 0: expected 1..=65536");
-        check(|c| c.max_message_bytes = 1, "bus.max_message_bytes = 1: expected 68157440..=1073741824");
+        check(|c| c.weights_mb_per_s = 0, "bus.weights_mb_per_s = 0: expected 1..=1000000");
     }
 }

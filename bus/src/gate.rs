@@ -29,6 +29,7 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
+use super::config::JOIN_TIMEOUT_MS;
 use super::security::{Keys, is_tls};
 use super::{BusConfig, BusError};
 pub use counts::JoinCounts;
@@ -70,7 +71,7 @@ impl Gate {
             return Ok(None);
         }
         let (tasks, closing) = (TaskTracker::new(), CancellationToken::new());
-        let limit = Duration::from_millis(config.join_timeout_ms);
+        let limit = Duration::from_millis(JOIN_TIMEOUT_MS);
         let room = room()?;
         let inner = room.path().join("router");
         let mut listeners = Vec::new();

@@ -21,6 +21,9 @@ use proto::metrics::IngestCounts;
 use proto::{Trajectory, WeightsVersion, keys};
 use tokio_util::task::AbortOnDropHandle;
 
+/// Maximum number of trajectories that wait to be decoded; more are refused as `Full`.
+const INGEST_QUEUE: usize = 256;
+
 /// Serves the trajectories of all actors until dropped.
 #[derive(Debug)]
 pub struct TrajectoryServer {
@@ -46,7 +49,7 @@ impl Bus {
     where
         F: Fn(Trajectory) -> Result<(), Refusal> + Send + Sync + 'static,
     {
-        let (queue, mut queries) = mpsc::channel::<Query>(self.config.ingest_queue);
+        let (queue, mut queries) = mpsc::channel::<Query>(INGEST_QUEUE);
         let counters = Arc::new(IngestCounters::default());
         let (names, repeats) = (Names::follow(self).await?, Repeats::default());
         let refusals = Refusals::start();

@@ -21,6 +21,9 @@ pub(super) const ACK_SCHEMA: &str = "lodestone.v1.Ack";
 /// Encoding schema of a refusal; it distinguishes the learner's refusals from zenoh's error replies.
 pub(super) const REFUSAL_SCHEMA: &str = "lodestone.v1.Refusal";
 
+/// Timeout for the learner's answer to a trajectory.
+const ACK_TIMEOUT: Duration = Duration::from_secs(10);
+
 /// Sends the trajectories of one actor; clones share it.
 ///
 /// The caller limits the number of trajectories in flight (2 is a good number).
@@ -49,7 +52,7 @@ impl Bus {
             .congestion_control(CongestionControl::Block)
             .priority(Priority::DataLow)
             .consolidation(ConsolidationMode::None)
-            .timeout(Duration::from_millis(self.config.ack_timeout_ms))
+            .timeout(ACK_TIMEOUT)
             .await
             .map_err(failed())?;
         let viewers = self
@@ -72,7 +75,7 @@ impl Bus {
 }
 
 impl TrajectorySender {
-    /// Sends a trajectory and waits for the learner's answer, up to the configured timeout.
+    /// Sends a trajectory and waits for the learner's answer, for up to 10 s.
     ///
     /// While there are viewers, every attempt also sends them a copy.
     ///

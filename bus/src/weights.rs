@@ -25,6 +25,9 @@ use tokio_util::task::AbortOnDropHandle;
 const WEIGHTS_SCHEMA: &str = "lodestone.v1.Weights";
 const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
 
+/// Timeout for a pull of the weights.
+const PULL_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// Pause before a failed pull is retried.
 const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
@@ -120,7 +123,7 @@ impl Bus {
             .congestion_control(CongestionControl::Block)
             .priority(Priority::DataHigh)
             .consolidation(ConsolidationMode::None)
-            .timeout(Duration::from_millis(self.config.pull_timeout_ms))
+            .timeout(PULL_TIMEOUT)
             .await
             .map_err(failed())?;
         let learner = Arc::new(querier);

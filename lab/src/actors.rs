@@ -44,9 +44,6 @@ const READY_PATIENCE: Duration = Duration::from_secs(330);
 /// Additional time limit per actor for joining.
 const PATIENCE_PER_ACTOR: Duration = Duration::from_millis(200);
 
-/// Time limit for outstanding acknowledgments at the end.
-const DRAIN_TIMEOUT_MS: u64 = 60_000;
-
 /// Runs the measurement.
 ///
 /// # Errors
@@ -126,9 +123,6 @@ impl Ring {
                 first_actor: first,
                 n_actors: next - first,
                 steps_per_s: args.rate,
-                n_outstanding: config.actor.n_outstanding,
-                metrics_period_ms: config.actor.metrics_period_ms,
-                drain_timeout_ms: DRAIN_TIMEOUT_MS,
             };
             let mut part = Part::start(format!("process {i} of actors"), "load")?;
             part.tell(&LoadOrder { load, segments: recording.files.clone() })?;

@@ -44,7 +44,7 @@ fn the_policy_of_a_run_of_version_0_1_0_is_refused_and_everything_else_is_read()
     output(folder.path(), &["render", recording, "--format", "png-strip", "--out", "pictures"]);
     for (command, reason) in [
         (["eval", "--checkpoint", "run-0.1.0"], "has format version 1, and this program reads version 4"),
-        (["train", "--resume", "run-0.1.0"], "run-0.1.0/config.toml:101: unknown key `plan`"),
+        (["train", "--resume", "run-0.1.0"], "run-0.1.0/config.toml:11: unknown key `ack_timeout_ms`"),
     ] {
         let output = lodestone(folder.path()).args(command).output().unwrap();
         let stderr = String::from_utf8_lossy(&output.stderr);

@@ -1,6 +1,6 @@
 """Compares the counters at both ends of the bus.
 
-An actor reports every 200 ms how many trajectories were acknowledged. A learner writes a line after each update with
+An actor reports every 2 s how many trajectories were acknowledged. A learner writes a line after each update with
 how many it took. Counts since the last report are lost when a process is killed, so each bound below allows for exactly
 that.
 """

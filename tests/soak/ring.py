@@ -18,12 +18,13 @@ RUN = "soak"
 N_ACTORS = 3
 SEGMENT_LEN = 16
 N_WORLDS = 4
-N_OUTSTANDING = 2
 BACKLOG = 16
+
+# As in the program: segments of an actor in flight, and trajectories that wait to be decoded at the learner.
+N_OUTSTANDING = 2
 INGEST_QUEUE = 256
 
-# Small updates and a checkpoint after every second one, so that kills hit many of them. Short acknowledgment timeouts.
-# Frequent reports, so that a kill leaves little unreported.
+# Small updates and a checkpoint after every second one, so that kills hit many of them.
 SETTINGS = {
     "learner.steps_per_update": "256",
     "learner.minibatch_size": "128",
@@ -32,13 +33,9 @@ SETTINGS = {
     "learner.checkpoints.keep": "5",
     "actor.n_worlds": str(N_WORLDS),
     "actor.segment_len": str(SEGMENT_LEN),
-    "actor.n_outstanding": str(N_OUTSTANDING),
     "actor.backlog_limit": str(BACKLOG),
     "actor.full_backlog": "drop-oldest",
     "actor.burn_in.probability": "0.0",
-    "actor.metrics_period_ms": "200",
-    "bus.ack_timeout_ms": "2000",
-    "bus.ingest_queue": str(INGEST_QUEUE),
     "evaluator.every.versions": "10",
     "evaluator.episodes.n_episodes": "2",
     "evaluator.films.groups": "[]",

@@ -17,8 +17,8 @@ use tokio::net::{TcpStream, UdpSocket};
 /// Connections that lead nowhere.
 const N_OPEN: u64 = 100;
 
-/// The longest time that a connection may get.
-const FOREVER_MS: u64 = 600_000;
+/// The time that a connection gets.
+const JOIN_TIME: Duration = Duration::from_secs(4);
 
 /// Only ends a test that hangs.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -36,7 +36,7 @@ struct Site {
 }
 
 impl Site {
-    async fn open(protocol: &str, join_timeout_ms: u64) -> Self {
+    async fn open(protocol: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let hosts = ["127.0.0.1".to_owned(), "localhost".to_owned()];
         deploy::keys::create(&folder.path().join("keys"), &hosts, 1).unwrap();
@@ -47,7 +47,7 @@ impl Site {
         };
         let endpoint = format!("{protocol}/{at}");
         let security = security(&folder, protocol, "router");
-        let config = BusConfig { listen: vec![endpoint.clone()], security, join_timeout_ms, ..BusConfig::default() };
+        let config = BusConfig { listen: vec![endpoint.clone()], security, ..BusConfig::default() };
         let router = within("router", Bus::open(&config)).await.unwrap();
         Self { folder, endpoint, at, router }
     }
@@ -125,45 +125,44 @@ async fn unanswered(site: &Site) -> UdpSocket {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_joins_while_100_handshakes_are_open() {
-    for protocol in ["tls", "quic"] {
-        let site = Site::open(protocol, FOREVER_MS).await;
-        let open: Box<dyn Any> = match protocol {
-            "tls" => Box::new(silent(site.at).await),
-            _ => Box::new(unanswered(&site).await),
-        };
-        site.counted("the open ones", |counts| counts.n_pending == N_OPEN).await;
-        let start = Instant::now();
-        let client = site.client("viewer").await;
-        println!("{protocol}: joined after {:.2} s, beside {N_OPEN} open handshakes", start.elapsed().as_secs_f64());
-        assert!(client.is_connected().await);
-        let expected = JoinCounts { n_pending: N_OPEN, n_joined: 1, ..JoinCounts::default() };
-        assert_eq!(site.counts(), expected, "{protocol}");
-        client.close().await;
-        site.router.close().await;
-        drop(open);
+async fn a_client_joins_while_100_connections_lead_nowhere() {
+    for protocol in ["tls", "quic", "tcp"] {
+        // On a busy machine, the router may drop the open ones before the client has come.
+        within(protocol, async { while !joins_beside_open_ones(protocol).await {} }).await;
     }
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_client_joins_plain_tcp_while_100_connections_are_silent() {
-    let site = Site::open("tcp", FOREVER_MS).await;
-    let open = silent(site.at).await;
+/// Opens connections that lead nowhere, and joins. Returns whether all this took less time than each of them gets.
+async fn joins_beside_open_ones(protocol: &str) -> bool {
+    let site = Site::open(protocol).await;
+    let opening = Instant::now();
+    let open: Box<dyn Any> = match protocol {
+        "quic" => Box::new(unanswered(&site).await),
+        _ => Box::new(silent(site.at).await),
+    };
+    if protocol != "tcp" {
+        site.counted("the open ones", |counts| counts.n_pending + counts.n_stalled == N_OPEN).await;
+    }
     let start = Instant::now();
     let client = site.client("viewer").await;
-    println!("tcp: joined after {:.2} s, beside {N_OPEN} open connections", start.elapsed().as_secs_f64());
+    println!("{protocol}: joined after {:.2} s, beside {N_OPEN} open ones", start.elapsed().as_secs_f64());
     assert!(client.is_connected().await);
-    assert_eq!(site.router.joins(), None);
+    let joins = site.router.joins();
+    let is_in_time = opening.elapsed() < JOIN_TIME;
+    if is_in_time {
+        let counts = JoinCounts { n_pending: N_OPEN, n_joined: 1, ..JoinCounts::default() };
+        assert_eq!(joins, (protocol != "tcp").then_some(counts), "{protocol}");
+    }
     client.close().await;
     site.router.close().await;
     drop(open);
+    is_in_time
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn who_stands_still_is_dropped_and_counted() {
-    let join_timeout_ms = BusConfig::default().join_timeout_ms;
     for protocol in ["tls", "tcp"] {
-        let site = Site::open(protocol, join_timeout_ms).await;
+        let site = Site::open(protocol).await;
         let start = Instant::now();
         for mut connection in silent(site.at).await {
             // zenoh may say goodbye.
@@ -178,7 +177,7 @@ async fn who_stands_still_is_dropped_and_counted() {
         site.router.close().await;
     }
     // Good keys make no difference.
-    let site = Site::open("quic", join_timeout_ms).await;
+    let site = Site::open("quic").await;
     let connection = within("QUIC", quic_client(&site, "actor").connect(site.at, "localhost").unwrap()).await.unwrap();
     let start = Instant::now();
     within("the end of the connection", connection.closed()).await;
@@ -193,7 +192,7 @@ fn who_mixes_the_keys_of_two_roles_is_refused() {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     for protocol in ["tls", "quic"] {
         runtime.block_on(async {
-            let site = Site::open(protocol, FOREVER_MS).await;
+            let site = Site::open(protocol).await;
             let keys = site.folder.path().join("keys");
             std::fs::copy(keys.join("learner/password"), keys.join("actor/password")).unwrap();
             let config = site.client_config("actor");
@@ -211,7 +210,7 @@ fn who_mixes_the_keys_of_two_roles_is_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn members_talk_over_either_protocol() {
     for protocol in ["tls", "quic"] {
-        let site = Site::open(protocol, FOREVER_MS).await;
+        let site = Site::open(protocol).await;
         let (evaluator, viewer) = (site.client("evaluator").await, site.client("viewer").await);
         let publisher = evaluator.metrics_publisher("eval/summary").await.unwrap();
         // Longer than any buffer on the way.

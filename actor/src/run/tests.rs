@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use blueprints::{BlockIdx, Catalog};
 use environment::EnvironmentConfig;
-use policy::Network;
+use policy::{BlockMask, Network};
 use proto::Status;
 use tokio::sync::mpsc;
 
@@ -19,7 +19,6 @@ fn config() -> ActorConfig {
         n_worlds: 2,
         segment_len: 4,
         tasks: TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 2 }, ..Default::default() },
-        metrics_period_ms: 50,
         backlog_limit: 8,
         full_backlog: FullBacklog::Pause,
         ..Default::default()
@@ -152,7 +151,7 @@ async fn an_actor_with_other_settings_than_its_run_ends_and_names_the_first() {
     };
     let cases = [
         (other(|s| s.environment.episode_steps = 7), "environment.episode_steps is 7 there and 6 here"),
-        (other(|s| s.policy.grip_steps = 5), "policy.grip_steps is 5 there and 1 here"),
+        (other(|s| s.policy.mask = BlockMask::Blueprint), r#"policy.mask is "blueprint" there and "none" here"#),
     ];
     for (theirs, difference) in cases {
         // With the first weights, and after the learner was replaced.

@@ -66,7 +66,7 @@ impl Style {
         Self::Tallest,
     ];
 
-    /// The default styles of training goals: all but the longest and the tallest, which are held out.
+    /// The styles of generated training goals: all but the longest and the tallest, which are held out.
     pub const TRAINING: [Self; 12] = [
         Self::Any,
         Self::Tower,

@@ -1,7 +1,7 @@
 //! Simulated actors that step no worlds. They send recorded segments and pull weights as real actors do, so that bus
 //! and learner can be measured without the processors of a cluster.
 //!
-//! Each has its own session, name, and sequence numbers, and at most `n_outstanding` attempts in flight. A segment is
+//! Each has its own session, name, and sequence numbers, and as many attempts in flight as a real one. A segment is
 //! sent again if the learner's mailbox is full or there is no answer.
 
 mod histogram;
@@ -29,6 +29,9 @@ pub(super) use self::tally::{LoadCounts, LoadReport};
 /// answers.
 const JOIN_TIMEOUT: Duration = Duration::from_secs(150);
 
+/// Maximum time to wait for answers at the end.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(60);
+
 /// Configuration of the simulated actors in one process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct LoadPlan {
@@ -40,12 +43,6 @@ pub(super) struct LoadPlan {
     pub(super) n_actors: usize,
     /// Steps per second of each actor; 0 sends as fast as answers arrive.
     pub(super) steps_per_s: f64,
-    /// Maximum number of segments per actor that wait for an answer at once.
-    pub(super) n_outstanding: usize,
-    /// Interval between publications of an actor's metrics, in milliseconds.
-    pub(super) metrics_period_ms: u64,
-    /// Maximum time to wait for answers at the end, in milliseconds.
-    pub(super) drain_timeout_ms: u64,
 }
 
 /// Simulated actors that have joined the bus.
@@ -110,8 +107,8 @@ impl Load {
         self.shortfall.as_deref()
     }
 
-    /// Sends `segments` over and over, under the actors' names and numbers, until `stop`. Then waits for answers as
-    /// long as the plan allows.
+    /// Sends `segments` over and over, under the actors' names and numbers, until `stop`. Then waits for answers up to a
+    /// minute for answers.
     ///
     /// # Errors
     /// If there is nothing to send, or a task panicked.
@@ -120,27 +117,25 @@ impl Load {
         let (start, give_up) = (Instant::now(), CancellationToken::new());
         let mut tasks = JoinSet::new();
         let mut watchers = JoinSet::new();
-        let period = Duration::from_millis(self.plan.metrics_period_ms);
         for member in &self.members {
             let tally = Arc::new(Tally::default());
             let start = start + script.phase(member.number());
-            for _ in 0..self.plan.n_outstanding {
+            for _ in 0..actor::N_OUTSTANDING {
                 let (member, script, tally) = (member.clone(), script.clone(), tally.clone());
                 let (stop, give_up) = (stop.clone(), give_up.clone());
                 tasks.spawn(async move { member.send_all(&script, start, &tally, &stop, &give_up).await });
             }
             let (member, give_up) = (member.clone(), give_up.clone());
             watchers.spawn(async move {
-                let pulls = member.watch_and_report(&tally, period, &give_up).await;
+                let pulls = member.watch_and_report(&tally, &give_up).await;
                 (tally, pulls)
             });
         }
         stop.cancelled().await;
         let elapsed = start.elapsed();
         let drained = async { while tasks.join_next().await.is_some() {} };
-        let drain_timeout = Duration::from_millis(self.plan.drain_timeout_ms);
         // Afterwards, the tasks count what still has no answer.
-        let _: Result<(), _> = tokio::time::timeout(drain_timeout, drained).await;
+        let _: Result<(), _> = tokio::time::timeout(DRAIN_TIMEOUT, drained).await;
         give_up.cancel();
         while let Some(ended) = tasks.join_next().await {
             ended.context("a simulated actor panicked")?;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use actor::METRICS_PERIOD;
 use anyhow::Context;
 use bus::{AliveToken, Bus, MetricsPublisher, SendError, TrajectorySender, WeightsSubscriber, process_epoch_ms};
 use proto::metrics::{ActorDrops, ActorMetrics, BusCounts, METRICS_SCHEMA_VERSION};
@@ -151,17 +152,16 @@ impl Member {
         }
     }
 
-    /// Publishes metrics every `period` and records when newer weights arrived, until `end`.
+    /// Publishes metrics as an actor does and records when newer weights arrived, until `end`.
     pub(super) async fn watch_and_report(
         &self,
         tally: &Tally,
-        period: Duration,
         end: &CancellationToken,
     ) -> Vec<Moment> {
         let mut weights = self.weights.watch();
         weights.mark_unchanged();
         let start = Instant::now();
-        let mut next = start + period;
+        let mut next = start + METRICS_PERIOD;
         let mut pulls = vec![Moment::now(newest(&weights).0)];
         loop {
             tokio::select! {
@@ -171,7 +171,7 @@ impl Member {
                     pulls.push(Moment::now(newest(&weights).0));
                 }
                 () = tokio::time::sleep_until(next) => {
-                    next += period;
+                    next += METRICS_PERIOD;
                     let metrics = self.metrics_now(&tally.copy(), newest(&weights).0, start.elapsed());
                     if let Err(error) = self.metrics.put(&metrics).await {
                         tracing::debug!(%error, "metrics not published");

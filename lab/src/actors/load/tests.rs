@@ -129,9 +129,6 @@ async fn both_ends_count_the_same_segments() {
         first_actor: 10,
         n_actors: 3,
         steps_per_s: 0.0,
-        n_outstanding: 2,
-        metrics_period_ms: 50,
-        drain_timeout_ms: 60_000,
     };
     let load = Load::open(plan).await.unwrap();
     assert_eq!((load.n_actors(), load.shortfall()), (3, None));
