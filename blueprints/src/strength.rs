@@ -11,7 +11,7 @@ pub const CELL_WEIGHT_N: f64 = 1.962;
 /// must hold in the world used for training. The breaking torque is this times one unit (0.1 m).
 pub const BREAK_FORCE_N: f64 = 30.0;
 
-/// Maximum number of magnet pairs that add to a connection's strength, as in the default world.
+/// Maximum number of magnet pairs that add to a connection's strength.
 pub const MAX_STRONG_PAIRS: usize = 3;
 
 /// Ratio of breaking load to static load that a connection needs: structures are also shaken, carried, and hit.

@@ -1,8 +1,7 @@
 //! Control steps per CPU-second of one world.
 //!
 //! `cargo bench -p environment` prints a table. `--json` prints `{case: steps per CPU-second}` for
-//! `tests/benches/peers.py`. `--single` merges no substeps. `--five` uses 5 substeps of 20 ms instead of 10 of 10 ms.
-//! The name of a case runs only that case.
+//! `tests/benches/peers.py`. The name of a case runs only that case.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
@@ -23,14 +22,7 @@ type Case = fn(&EnvironmentConfig, u64) -> f64;
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     let has = |flag: &str| arguments.iter().any(|argument| argument == flag);
-    let mut config = EnvironmentConfig::default();
-    if has("--single") {
-        config.physics.merge_substeps = false;
-    }
-    if has("--five") {
-        config.physics.n_substeps = 5;
-        config.physics.substep_ms = 20.0;
-    }
+    let config = EnvironmentConfig::default();
     let cases: [(&str, Case); 4] = [("settled", settled), ("random", random), ("held", held), ("moved", moved)];
     let mut lines = vec![];
     let all = !cases.iter().any(|(name, _)| has(name));

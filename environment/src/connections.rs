@@ -1,15 +1,26 @@
 //! Connections between blocks: attraction, snapping, load, and breaking.
 
+use blueprints::strength::MAX_STRONG_PAIRS;
 use blueprints::{BlockIdx, Inventory, N_BLOCKS, Placement, RelativePlacement};
 use nalgebra::{Isometry3, Vector3};
 use proto::Joint;
 
-use crate::config::{MagnetConfig, PhysicsConfig};
-use crate::engine::{Engine, JointHandle};
-use crate::magnets::{Frame, MagnetPair, MagnetTable, magnet_position_m};
+use crate::config::MagnetConfig;
+use crate::engine::{Engine, JointHandle, SUBSTEP_S};
+use crate::magnets::{ATTRACTION_RANGE_M, Frame, MagnetPair, MagnetTable, magnet_position_m};
 
 mod effort;
 
+/// Time for which a new joint cannot break and, after a snap, is soft, ms.
+const SNAP_MS: f32 = 200.0;
+/// Stiffness of the joint during the snap, Hz.
+const SNAP_FREQUENCY_HZ: f32 = 20.0;
+/// Stiffness of the joint afterwards, Hz.
+const HOLD_FREQUENCY_HZ: f32 = 60.0;
+/// Weight of the past in the running mean of a joint's load, per substep.
+const LOAD_SMOOTHING: f32 = 0.5;
+/// Time after a break during which the two blocks neither attract nor snap, ms.
+const COOLDOWN_MS: f32 = 200.0;
 /// Time before a new connection becomes breakable during which its load is already measured, ms.
 const MEASURED_MS: f32 = 50.0;
 
@@ -35,8 +46,6 @@ struct Connection {
 pub(crate) struct Connections {
     table: MagnetTable,
     config: MagnetConfig,
-    /// Length of a configured substep, s.
-    substep_s: f32,
     live: Vec<Connection>,
     /// Substeps for which a pair of blocks stays inert after a break, indexed `[lower][higher]`.
     cooldown: [[u16; N_BLOCKS]; N_BLOCKS],
@@ -48,11 +57,10 @@ pub(crate) struct Connections {
 }
 
 impl Connections {
-    pub(crate) fn new(config: &MagnetConfig, physics: &PhysicsConfig, inventory: &Inventory) -> Self {
+    pub(crate) fn new(config: &MagnetConfig, inventory: &Inventory) -> Self {
         Self {
             table: MagnetTable::new(inventory),
             config: config.clone(),
-            substep_s: physics.substep_s(),
             live: vec![],
             cooldown: [[0; N_BLOCKS]; N_BLOCKS],
             linked: [[false; N_BLOCKS]; N_BLOCKS],
@@ -71,7 +79,7 @@ impl Connections {
     /// Connects two blocks that are placed as `joint` specifies. The joint is stiff at once but, as after a snap,
     /// unbreakable until the structure has settled under its own weight.
     pub(crate) fn insert_built(&mut self, engine: &mut Engine, joint: Joint) {
-        self.insert(engine, joint, self.config.hold_frequency_hz);
+        self.insert(engine, joint, HOLD_FREQUENCY_HZ);
     }
 
     /// Returns the connections, sorted.
@@ -106,7 +114,7 @@ impl Connections {
         let frames = poses.each_ref().map(Frame::new);
         self.frames = frames;
         let asleep = block_array(|block| engine.is_asleep(block));
-        let reach = self.config.attraction_range_m.max(self.config.snap_gap_m);
+        let reach = ATTRACTION_RANGE_M.max(self.config.snap_gap_m);
         for a in BlockIdx::all() {
             for b in BlockIdx::all().skip(a.get() + 1) {
                 let (i, j) = (a.get(), b.get());
@@ -127,16 +135,16 @@ impl Connections {
     pub(crate) fn strain(&mut self, engine: &mut Engine) {
         let break_torque_per_n = blueprints::UNIT_M;
         // Blocks that come to rest at once may be asleep when their connection first becomes breakable.
-        let n_measured = self.substeps(MEASURED_MS);
+        let n_measured = substeps(MEASURED_MS);
         let n_merged = engine.n_merged();
-        let news = 1.0 - self.config.load_smoothing.powi(i32::from(n_merged));
+        let news = 1.0 - LOAD_SMOOTHING.powi(i32::from(n_merged));
         let mut worst: Option<(usize, f32)> = None;
         for (i, connection) in self.live.iter_mut().enumerate() {
             let is_settling = connection.snap_left > 0;
             if is_settling {
                 connection.snap_left = connection.snap_left.saturating_sub(n_merged.into());
                 if connection.snap_left == 0 {
-                    engine.set_joint_frequency(connection.handle, self.config.hold_frequency_hz);
+                    engine.set_joint_frequency(connection.handle, HOLD_FREQUENCY_HZ);
                 }
                 if connection.snap_left >= n_measured {
                     continue;
@@ -175,7 +183,7 @@ impl Connections {
         }
         let broken = self.live.remove(index);
         engine.remove_joint(broken.handle);
-        self.cooldown[broken.joint.a.get()][broken.joint.b.get()] = self.substeps(self.config.cooldown_ms);
+        self.cooldown[broken.joint.a.get()][broken.joint.b.get()] = substeps(COOLDOWN_MS);
         self.regroup();
     }
 
@@ -187,12 +195,12 @@ impl Connections {
         reach: f32,
     ) {
         let mut nearest: Option<MagnetPair> = None;
-        let (config, substep_s) = (&self.config, engine.substep_s());
+        let substep_s = engine.substep_s();
         self.table.for_each_pair((a, frame_a), (b, frame_b), reach, |pair| {
             if nearest.is_none_or(|best| pair.distance < best.distance) {
                 nearest = Some(pair);
             }
-            let impulse = pair.attraction(config) * substep_s;
+            let impulse = pair.attraction() * substep_s;
             engine.apply_impulse(a, -impulse, pair.point_a);
             engine.apply_impulse(b, impulse, pair.point_b);
         });
@@ -202,7 +210,7 @@ impl Connections {
         if self.same_component(a, b) && self.relative_in_component(a, b) != Some(relative) {
             return;
         }
-        self.insert(engine, Joint { a, b, relative }, self.config.snap_frequency_hz);
+        self.insert(engine, Joint { a, b, relative }, SNAP_FREQUENCY_HZ);
     }
 
     fn insert(&mut self, engine: &mut Engine, joint: Joint, frequency_hz: f32) {
@@ -218,10 +226,9 @@ impl Connections {
         let b_in_a = Isometry3::from_parts(joint.relative.position_m().into(), joint.relative.rotation.quaternion());
         let frame_a = Isometry3::translation(middle.x, middle.y, middle.z);
         let frame_b = b_in_a.inverse() * frame_a;
-        let snap_left = self.substeps(self.config.snap_ms);
-        let frequency_hz = if snap_left == 0 { self.config.hold_frequency_hz } else { frequency_hz };
+        let snap_left = substeps(SNAP_MS);
         let handle = engine.insert_fixed_joint((joint.a, frame_a), (joint.b, frame_b), frequency_hz);
-        let n_strong_pairs = pairs.len().min(usize::from(self.config.break_max_pairs)) as f32;
+        let n_strong_pairs = pairs.len().min(MAX_STRONG_PAIRS) as f32;
         self.live.push(Connection { joint, b_in_a, handle, n_strong_pairs, snap_left, load: 0.0, is_spared: false });
         self.regroup();
     }
@@ -269,10 +276,11 @@ impl Connections {
             self.components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
         }
     }
+}
 
-    fn substeps(&self, ms: f32) -> u16 {
-        (ms / (self.substep_s * 1000.0)).round() as u16
-    }
+/// Returns the number of substeps in a time.
+fn substeps(ms: f32) -> u16 {
+    (ms / (SUBSTEP_S * 1000.0)).round() as u16
 }
 
 /// Returns an array with one value per block.

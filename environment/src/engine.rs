@@ -13,6 +13,20 @@ use rapier3d::pipeline::PhysicsPipeline;
 use crate::config::PhysicsConfig;
 use crate::convert::{from_rapier, pose_from_rapier, pose_to_rapier, to_rapier};
 
+/// Length of a substep, s.
+pub(crate) const SUBSTEP_S: f32 = 0.01;
+
+/// Linear and angular damping of blocks, 1/s.
+const DAMPING_HZ: f32 = 0.5;
+/// Damping of the motor on each held block when two grippers hold one structure, N·s/m.
+const MOTOR_DAMPING_NSPM: f32 = 60.0;
+/// Maximum force of that motor, N.
+const MOTOR_FORCE_N: f32 = 200.0;
+/// Angular damping of that motor, N·m·s/rad.
+const MOTOR_ANGULAR_DAMPING_NMSPRAD: f32 = 6.0;
+/// Maximum torque of that motor, N·m.
+const MOTOR_TORQUE_NM: f32 = 20.0;
+
 /// Half extents of the ground in meters. Blocks end their episode before they can reach its edge.
 const GROUND_HALF_EXTENTS_M: [f32; 3] = [60.0, 60.0, 0.5];
 
@@ -64,8 +78,7 @@ pub(crate) struct Engine {
     template: Bodies,
     handles: [RigidBodyHandle; N_BLOCKS],
     ground: RigidBodyHandle,
-    physics: PhysicsConfig,
-    /// Number of configured substeps computed as one.
+    /// Number of substeps computed as one.
     n_merged: u8,
     /// Substeps since the reset.
     n_substeps: u32,
@@ -103,8 +116,8 @@ impl Engine {
         let blocks: Vec<_> = BlockIdx::all()
             .map(|block| {
                 let body = RigidBodyBuilder::dynamic()
-                    .linear_damping(physics.damping_hz)
-                    .angular_damping(physics.damping_hz)
+                    .linear_damping(DAMPING_HZ)
+                    .angular_damping(DAMPING_HZ)
                     // Apart from each other and above the ground until a reset places them.
                     .translation(to_rapier(Vector3::new(block.get() as f32, 0.0, 1.0)));
                 let handle = template.bodies.insert(body);
@@ -119,7 +132,7 @@ impl Engine {
             })
             .collect();
         let parameters = IntegrationParameters {
-            dt: physics.substep_s(),
+            dt: SUBSTEP_S,
             // The engine's tolerances are fractions of this length; at 1, they are huge for a 10 cm block.
             length_unit: blueprints::UNIT_M,
             // One solver iteration, because a joint reports only the impulse of its last iteration; the inner ones add
@@ -141,7 +154,6 @@ impl Engine {
             template,
             handles: std::array::from_fn(|i| blocks[i]),
             ground,
-            physics: physics.clone(),
             n_merged: 1,
             n_substeps: 0,
             solved: [(0, 0.0); N_BLOCKS],
@@ -162,13 +174,13 @@ impl Engine {
         }
     }
 
-    /// Computes `n_substeps` configured substeps as one from now on.
+    /// Computes `n_substeps` substeps as one from now on.
     pub(crate) fn merge(&mut self, n_substeps: u8) {
         self.n_merged = n_substeps;
-        self.parameters.dt = f32::from(n_substeps) * self.physics.substep_s();
+        self.parameters.dt = f32::from(n_substeps) * SUBSTEP_S;
     }
 
-    /// Returns how many configured substeps the next substep covers.
+    /// Returns how many substeps the next one covers.
     pub(crate) fn n_merged(&self) -> u8 {
         self.n_merged
     }
@@ -300,16 +312,16 @@ impl Engine {
         let (linear, angular) = (target.linear, target.angular);
         for (axis, velocity) in [(JointAxis::LinX, linear.x), (JointAxis::LinY, linear.y), (JointAxis::LinZ, linear.z)]
         {
-            joint.set_motor_velocity(axis, velocity, self.physics.motor_damping);
+            joint.set_motor_velocity(axis, velocity, MOTOR_DAMPING_NSPM);
             joint.set_motor_model(axis, MotorModel::ForceBased);
-            joint.set_motor_max_force(axis, self.physics.motor_force_n);
+            joint.set_motor_max_force(axis, MOTOR_FORCE_N);
         }
         for (axis, velocity) in
             [(JointAxis::AngX, angular.x), (JointAxis::AngY, angular.y), (JointAxis::AngZ, angular.z)]
         {
-            joint.set_motor_velocity(axis, velocity, self.physics.motor_angular_damping);
+            joint.set_motor_velocity(axis, velocity, MOTOR_ANGULAR_DAMPING_NMSPRAD);
             joint.set_motor_model(axis, MotorModel::ForceBased);
-            joint.set_motor_max_force(axis, self.physics.motor_torque_nm);
+            joint.set_motor_max_force(axis, MOTOR_TORQUE_NM);
         }
         self.now.joints.insert(self.ground, self.handles[block.get()], joint, true)
     }

@@ -8,6 +8,11 @@ use crate::config::MagnetConfig;
 /// Two faces attract only if their normals are opposed to within 45°.
 const MIN_FACE_COSINE: f32 = std::f32::consts::FRAC_1_SQRT_2;
 
+/// Distance between two opposite magnets below which they attract, m.
+pub(crate) const ATTRACTION_RANGE_M: f32 = 0.04;
+/// Attraction of a magnet pair at distance 0, N. It falls linearly to 0 at [`ATTRACTION_RANGE_M`].
+const ATTRACTION_PEAK_N: f32 = 8.0;
+
 /// A pose with its rotation as a matrix, because each block is compared with up to 15 others.
 #[derive(Clone, Copy)]
 pub(crate) struct Frame {
@@ -157,8 +162,8 @@ impl MagnetPair {
     }
 
     /// Returns the attraction of the second block toward the first in N; the first gets the opposite force.
-    pub(crate) fn attraction(&self, config: &MagnetConfig) -> Vector3<f32> {
-        let strength = config.attraction_peak_n * (1.0 - self.distance / config.attraction_range_m).max(0.0);
+    pub(crate) fn attraction(&self) -> Vector3<f32> {
+        let strength = ATTRACTION_PEAK_N * (1.0 - self.distance / ATTRACTION_RANGE_M).max(0.0);
         (self.point_a - self.point_b) * (strength / self.distance.max(1e-6))
     }
 }
@@ -206,7 +211,7 @@ mod tests {
         let found = pairs(at(0.12, 0.0, 0.0));
         assert_eq!(found.len(), 1);
         assert!((found[0].distance - 0.02).abs() < 1e-6);
-        let force = found[0].attraction(&MagnetConfig::default());
+        let force = found[0].attraction();
         // Halfway into the range: half of 8 N, toward the first block.
         assert!((force - Vector3::new(-4.0, 0.0, 0.0)).norm() < 1e-3, "{force}");
         let placement = found[0].snap(&at(0.0, 0.0, 0.0), &at(0.12, 0.0, 0.0), &MagnetConfig::default()).unwrap();

@@ -6,15 +6,15 @@ use proto::{Action, Joint};
 
 use crate::config::EnvironmentConfig;
 use crate::connections::{Connections, block_array};
-use crate::engine::{Engine, Velocity};
+use crate::engine::{Engine, SUBSTEP_S, Velocity};
 use crate::grippers::Grippers;
+use crate::world::N_SUBSTEPS;
 
 /// The parts of a world, exposed for measurements.
 struct Rig {
     engine: Engine,
     connections: Connections,
     grippers: Grippers,
-    config: EnvironmentConfig,
 }
 
 impl Rig {
@@ -34,15 +34,14 @@ impl Rig {
         let inventory = Inventory::standard();
         let mut engine = Engine::new(&config.physics, inventory);
         engine.reset(&poses);
-        let connections = Connections::new(&config.magnets, &config.physics, inventory);
+        let connections = Connections::new(&config.magnets, inventory);
         let grippers = Grippers::new(&config);
-        Self { engine, connections, grippers, config }
+        Self { engine, connections, grippers }
     }
 
     fn weightless(placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
         let mut config = EnvironmentConfig::default();
         config.physics.gravity_mps2 = 0.0;
-        config.physics.damping_hz = 0.0;
         Self::new(config, placed)
     }
 
@@ -56,7 +55,7 @@ impl Rig {
 
     fn step(&mut self, action: &Action) {
         self.grippers.begin_step(&mut self.engine, action);
-        for _ in 0..self.config.physics.n_substeps {
+        for _ in 0..N_SUBSTEPS {
             self.substep();
         }
     }
@@ -117,7 +116,7 @@ fn a_connection_breaks_at_the_force_that_the_rule_says() {
             rig.connections.insert_built(&mut rig.engine, beside(a, b, [0, 2, 0]));
             for _ in 0..50 {
                 for (puller, sign) in [(a, -1.0), (b, 1.0)] {
-                    let impulse = Vector3::y() * (sign * force * rig.config.physics.substep_s());
+                    let impulse = Vector3::y() * (sign * force * SUBSTEP_S);
                     let center = rig.engine.pose(block(puller)).translation.vector;
                     rig.engine.apply_impulse(block(puller), impulse, center);
                 }
@@ -222,7 +221,7 @@ fn joints_leave_the_solver_only_while_nothing_touches_what_is_carried() {
         let (fast, slow) = (phase.sin(), (0.7 * phase).sin());
         action.moves[1] = [0.3 * fast, 0.3 * slow, -0.3 * (0.4 * phase).sin(), 0.1 * slow, 0.1 * fast, 0.3 * slow];
         rig.grippers.begin_step(&mut rig.engine, &action);
-        for _ in 0..rig.config.physics.n_substeps {
+        for _ in 0..N_SUBSTEPS {
             rig.substep();
             let is_carried = |b: Option<BlockIdx>| b.is_some_and(|b| rig.connections.same_component(b, block(1)));
             let mut touched = false;

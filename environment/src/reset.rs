@@ -12,10 +12,21 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::ResetConfig;
 use crate::env::ResetError;
 use footprint::Footprint;
 use structure::{remaining_after, stand};
+
+/// Half width of the square around the origin in which blocks are scattered, m.
+const ARENA_HALF_WIDTH_M: f32 = 0.8;
+/// Minimum gap between scattered blocks, m; none attract.
+const CLEARANCE_M: f32 = 0.05;
+/// Maximum ratio of a scattered block's height to the shorter side of the face that it rests on.
+const MAX_SLENDERNESS: f32 = 2.0;
+/// Near-goal starts: maximum distance of a removed block's center from its target in x and in y, m. It grows by 2 % with
+/// every attempt that finds no free ground.
+const NEAR_GOAL_M: f32 = 0.15;
+/// Near-goal starts: maximum rotation of a removed block from its target yaw, rad.
+const YAW_NOISE_RAD: f32 = 0.3;
 
 /// Attempts per block before the whole layout starts over, and layouts before giving up.
 const N_TRIES: usize = 200;
@@ -54,63 +65,48 @@ pub fn sample_assignment(rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
 }
 
 /// Scatters all blocks on the ground.
-pub(crate) fn scattered(config: &ResetConfig, rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
-    lay_out(config, rng, |_| Some(Draft::default()))
+pub(crate) fn scattered(rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
+    lay_out(rng, |_| Some(Draft::default()))
 }
 
 /// Builds `blueprint` and scatters the other blocks.
-pub(crate) fn prebuilt(
-    config: &ResetConfig,
-    blueprint: &Blueprint,
-    rng: &mut ChaCha8Rng,
-) -> Result<Layout, ResetError> {
-    lay_out(config, rng, |rng| {
+pub(crate) fn prebuilt(blueprint: &Blueprint, rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
+    lay_out(rng, |rng| {
         let all: Vec<_> = blueprint.placements().iter().map(|p| p.block).collect();
-        Some(stand(config, blueprint, &all, rng))
+        Some(stand(blueprint, &all, rng))
     })
 }
 
 /// Builds `blueprint` except for `undone` blocks, which lie near their targets, and scatters the other blocks.
-pub(crate) fn near_goal(
-    config: &ResetConfig,
-    blueprint: &Blueprint,
-    undone: u8,
-    rng: &mut ChaCha8Rng,
-) -> Result<Layout, ResetError> {
+pub(crate) fn near_goal(blueprint: &Blueprint, undone: u8, rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
     let most = blueprint.n_blocks() - 1;
     if !(1..=most).contains(&usize::from(undone)) {
         return Err(ResetError::Undone { blueprint: blueprint.id().clone(), undone, most });
     }
-    lay_out(config, rng, |rng| {
+    lay_out(rng, |rng| {
         let kept = remaining_after(blueprint, undone, rng);
-        let mut draft = stand(config, blueprint, &kept, rng);
+        let mut draft = stand(blueprint, &kept, rng);
         for placement in blueprint.placements().iter().filter(|p| !kept.contains(&p.block)) {
             // The structure is already placed, and its frame follows from any of its blocks.
             let anchor = blueprint.placement(kept[0])?;
             let in_blueprint =
                 |p: &blueprints::Placement| Isometry3::from_parts(p.position_m().into(), p.rotation.quaternion());
             let frame = draft.poses[anchor.block.get()]? * in_blueprint(anchor).inverse();
-            put_beside(config, &mut draft, placement.block, &(frame * in_blueprint(placement)), rng)?;
+            put_beside(&mut draft, placement.block, &(frame * in_blueprint(placement)), rng)?;
         }
         Some(draft)
     })
 }
 
 /// Places a block on the ground near its target, slightly turned.
-fn put_beside(
-    config: &ResetConfig,
-    draft: &mut Draft,
-    block: BlockIdx,
-    place: &Isometry3<f32>,
-    rng: &mut ChaCha8Rng,
-) -> Option<()> {
-    let mut reach = config.near_goal_m;
+fn put_beside(draft: &mut Draft, block: BlockIdx, place: &Isometry3<f32>, rng: &mut ChaCha8Rng) -> Option<()> {
+    let mut reach = NEAR_GOAL_M;
     for _ in 0..N_TRIES {
-        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), symmetric(rng, config.yaw_noise_rad));
+        let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), symmetric(rng, YAW_NOISE_RAD));
         let (x, y) = (place.translation.x + symmetric(rng, reach), place.translation.y + symmetric(rng, reach));
         let rotation = yaw * place.rotation;
         let footprint = Footprint::new(block, &rotation, [x, y]);
-        if draft.is_free(&footprint, config.clearance_m) {
+        if draft.is_free(&footprint) {
             draft.put(block, rotation, footprint);
             return Some(());
         }
@@ -121,18 +117,14 @@ fn put_beside(
 }
 
 /// Repeats `begin` and scatters the remaining blocks, until all have found room.
-fn lay_out(
-    config: &ResetConfig,
-    rng: &mut ChaCha8Rng,
-    begin: impl Fn(&mut ChaCha8Rng) -> Option<Draft>,
-) -> Result<Layout, ResetError> {
+fn lay_out(rng: &mut ChaCha8Rng, begin: impl Fn(&mut ChaCha8Rng) -> Option<Draft>) -> Result<Layout, ResetError> {
     let mut homeless = BlockIdx::all().next().expect("there are blocks");
     for _ in 0..N_LAYOUTS {
         let Some(mut draft) = begin(rng) else { continue };
         // Large blocks first, because they would not find room between the small ones.
         let mut left: Vec<_> = BlockIdx::all().filter(|b| draft.poses[b.get()].is_none()).collect();
         left.reverse();
-        match left.into_iter().find(|&block| !scatter(config, &mut draft, block, rng)) {
+        match left.into_iter().find(|&block| !scatter(&mut draft, block, rng)) {
             Some(block) => homeless = block,
             None => {
                 draft.joints.sort_unstable();
@@ -144,12 +136,12 @@ fn lay_out(
     Err(ResetError::NoRoom(homeless))
 }
 
-fn scatter(config: &ResetConfig, draft: &mut Draft, block: BlockIdx, rng: &mut ChaCha8Rng) -> bool {
+fn scatter(draft: &mut Draft, block: BlockIdx, rng: &mut ChaCha8Rng) -> bool {
     (0..N_TRIES).any(|_| {
-        let rotation = random_rotation(config, block, rng);
-        let xy = [symmetric(rng, config.arena_half_width_m), symmetric(rng, config.arena_half_width_m)];
+        let rotation = random_rotation(block, rng);
+        let xy = [symmetric(rng, ARENA_HALF_WIDTH_M), symmetric(rng, ARENA_HALF_WIDTH_M)];
         let footprint = Footprint::new(block, &rotation, xy);
-        let free = draft.is_free(&footprint, config.clearance_m);
+        let free = draft.is_free(&footprint);
         if free {
             draft.put(block, rotation, footprint);
         }
@@ -158,12 +150,12 @@ fn scatter(config: &ResetConfig, draft: &mut Draft, block: BlockIdx, rng: &mut C
 }
 
 /// Returns a random yaw on a random face on which the block stands firmly.
-fn random_rotation(config: &ResetConfig, block: BlockIdx, rng: &mut ChaCha8Rng) -> UnitQuaternion<f32> {
+fn random_rotation(block: BlockIdx, rng: &mut ChaCha8Rng) -> UnitQuaternion<f32> {
     let half = Inventory::standard().half_extents_m(block);
     let stands = |axis: usize| {
         let (side, other) = (half[(axis + 1) % 3], half[(axis + 2) % 3]);
         // A little slack, because 2 × 0.05 may not equal 0.1.
-        half[axis] <= side.min(other) * config.max_slenderness * 1.001
+        half[axis] <= side.min(other) * MAX_SLENDERNESS * 1.001
     };
     let axes: Vec<_> = (0..3).filter(|&axis| stands(axis)).collect();
     let axis = axes[rng.random_range(0..axes.len())];
@@ -182,8 +174,8 @@ fn symmetric(rng: &mut ChaCha8Rng, half_width: f32) -> f32 {
 }
 
 impl Draft {
-    fn is_free(&self, footprint: &Footprint, clearance_m: f32) -> bool {
-        self.footprints.iter().all(|other| footprint.gap(other) >= clearance_m)
+    fn is_free(&self, footprint: &Footprint) -> bool {
+        self.footprints.iter().all(|other| footprint.gap(other) >= CLEARANCE_M)
     }
 
     /// Puts a block on the ground.

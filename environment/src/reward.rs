@@ -4,46 +4,48 @@ use blueprints::{Blueprint, Inventory, Link};
 use nalgebra::{Isometry3, Vector3};
 use proto::{RewardTerms, Scene};
 
-use crate::config::{ForcePenalty, RewardConfig};
+use crate::config::RewardConfig;
 use crate::convert::from_pose;
 use crate::magnets::magnet_position_m;
 
+/// Distance at which the dense position term is `1 − tanh(1)`, m; 4 units.
+const DISTANCE_SCALE_M: f32 = 0.4;
+/// Maximum total cost of heavy contacts.
+const HEAVY_CONTACT_CAP: f32 = 1.0;
+
 /// Returns how good a scene is, by term.
 ///
-/// Each required block pair adds `connected_weight` if it is connected as in the blueprint, and a dense part of at most
-/// `dense_weight`: half of it for the magnets that should meet and half for the blocks. Each half is the mean of `1 −
-/// tanh(d / distance_scale_m)` and `1 − θ/π`. Every other connection costs `wrong_weight`, unused blocks included, and
-/// every heavy contact costs `heavy_contact_weight`, up to `heavy_contact_cap` in total.
+/// Each required block pair adds 1 if it is connected as in the blueprint, and a dense part of at most `dense_weight`:
+/// half of it for the magnets that should meet and half for the blocks. Each half is the mean of `1 − tanh(d / 0.4 m)`
+/// and `1 − θ/π`. Every other connection costs `wrong_weight`, unused blocks included, and every heavy contact costs
+/// `heavy_contact_weight`, up to 1 in total.
 pub fn potential(scene: &Scene, blueprint: &Blueprint, config: &RewardConfig) -> RewardTerms {
     let mut terms = RewardTerms::default();
     for joint in &scene.joints {
         if joint.is_right(blueprint) {
-            terms.connected += config.connected_weight;
+            terms.connected += 1.0;
         } else {
             terms.wrong -= config.wrong_weight;
         }
     }
     for link in blueprint.links() {
         let fit = Fit::new(scene, link);
-        terms.magnets += 0.5 * config.dense_weight * fit.magnets.closeness(config.distance_scale_m);
-        terms.blocks += 0.5 * config.dense_weight * fit.blocks.closeness(config.distance_scale_m);
+        terms.magnets += 0.5 * config.dense_weight * fit.magnets.closeness();
+        terms.blocks += 0.5 * config.dense_weight * fit.blocks.closeness();
     }
     let heavy = config.heavy_contact_weight * f32::from(scene.n_heavy_contacts);
-    terms.force = -heavy.min(config.heavy_contact_cap);
+    terms.force = -heavy.min(HEAVY_CONTACT_CAP);
     terms
 }
 
 /// Returns the reward of a step from the potentials before and after it.
-pub fn reward(before: &RewardTerms, after: &RewardTerms, config: &RewardConfig) -> RewardTerms {
+pub fn reward(before: &RewardTerms, after: &RewardTerms) -> RewardTerms {
     RewardTerms {
         connected: after.connected - before.connected,
         wrong: after.wrong - before.wrong,
         magnets: after.magnets - before.magnets,
         blocks: after.blocks - before.blocks,
-        force: match config.force_penalty {
-            ForcePenalty::Differenced => after.force - before.force,
-            ForcePenalty::PerStep => after.force,
-        },
+        force: after.force - before.force,
     }
 }
 
@@ -64,8 +66,8 @@ pub(crate) struct Fit {
 }
 
 impl Misfit {
-    fn closeness(self, scale_m: f32) -> f32 {
-        0.5 * (1.0 - (self.distance / scale_m).tanh()) + 0.5 * (1.0 - self.angle / std::f32::consts::PI)
+    fn closeness(self) -> f32 {
+        0.5 * (1.0 - (self.distance / DISTANCE_SCALE_M).tanh()) + 0.5 * (1.0 - self.angle / std::f32::consts::PI)
     }
 }
 

@@ -6,6 +6,11 @@ use proto::Scene;
 use crate::config::SuccessConfig;
 use crate::reward::Fit;
 
+/// Stable success: maximum speed of the blueprint's blocks, m/s.
+const STABLE_SPEED_MPS: f32 = 0.1;
+/// Stable success: required number of consecutive steps.
+const STABLE_STEPS: u16 = 3;
+
 /// Returns whether all required connections exist, no others exist, and every required pair is within tolerance.
 pub fn is_success(scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) -> bool {
     let links = blueprint.links();
@@ -20,7 +25,7 @@ pub fn is_success(scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) 
         })
 }
 
-/// Tracks whether a success lasts: the conditions hold for several consecutive steps while the structure hardly moves.
+/// Tracks whether a success lasts: the conditions hold for three consecutive steps while the structure hardly moves.
 ///
 /// Recorded along with the paper's success, so that structures in flight do not count unnoticed.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,9 +36,9 @@ pub struct StableSuccess {
 impl StableSuccess {
     /// Observes the scene after a step. Returns true once the success is stable.
     pub fn observe(&mut self, scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) -> bool {
-        let slow = blueprint.placements().iter().all(|p| scene.speeds_mps[p.block.get()] <= config.stable_speed_mps);
+        let slow = blueprint.placements().iter().all(|p| scene.speeds_mps[p.block.get()] <= STABLE_SPEED_MPS);
         let holds = slow && is_success(scene, blueprint, config);
         self.n_steps = if holds { self.n_steps.saturating_add(1) } else { 0 };
-        self.n_steps >= u16::from(config.stable_steps)
+        self.n_steps >= STABLE_STEPS
     }
 }

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{EnvironmentConfig, PhysicsConfig};
 use crate::connections::{Connections, block_array};
 use crate::convert::to_pose;
-use crate::engine::Engine;
+use crate::engine::{Engine, SUBSTEP_S};
 use crate::env::{Env, ResetError, StepResult};
 use crate::grippers::Grippers;
 use crate::randomization;
@@ -17,8 +17,23 @@ use crate::reward::{potential, reward};
 use crate::success::is_success;
 use proto::InvalidSetting;
 
-/// Maximum length of a merged substep, ms.
-const MERGED_MS: f32 = 20.0;
+/// Physics substeps per control step.
+pub(crate) const N_SUBSTEPS: u8 = 10;
+
+/// Length of a control step, s.
+pub const CONTROL_DT_S: f32 = SUBSTEP_S * N_SUBSTEPS as f32;
+
+/// Maximum number of substeps computed as one, while the solver handles no awake structure of three or more blocks.
+/// Larger structures sag unless substeps are short.
+const MAX_MERGED: u8 = 2;
+
+/// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m. It exceeds the distance
+/// that a gripper can carry a block along one axis in an episode (3 m/s for 10 s). Episodes in which the agent flies off
+/// with its blocks must stay in the data, or it never learns not to.
+const RUNAWAY_M: f32 = 40.0;
+
+/// Force above which a contact is heavy, in weights of a unit cube.
+const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
 
 /// One world. Steps are cheap, so that one thread can drive many worlds. A clone goes on bit for bit as the original.
 ///
@@ -51,8 +66,6 @@ pub struct World {
     n_steps: u16,
     /// Whether there is a valid state to continue from.
     alive: bool,
-    /// Maximum number of substeps computed as one, at least 1.
-    n_mergeable: u8,
     /// Force above which a contact is heavy, N.
     heavy_contact_n: f32,
     half_diagonals_m: [f32; N_BLOCKS],
@@ -66,18 +79,16 @@ impl World {
     pub fn new(config: &EnvironmentConfig) -> Result<Self, InvalidSetting> {
         config.validate()?;
         let inventory = Inventory::standard();
-        let cube_weight_n = config.physics.density_kgpm3 * blueprints::UNIT_M.powi(3) * config.physics.gravity_mps2;
         let mut world = Self {
             engine: Engine::new(&config.physics, inventory),
-            connections: Connections::new(&config.magnets, &config.physics, inventory),
+            connections: Connections::new(&config.magnets, inventory),
             grippers: Grippers::new(config),
             blueprint: initial_blueprint(),
             scene: empty_scene(),
             potential: RewardTerms::default(),
             n_steps: 0,
             alive: false,
-            n_mergeable: n_mergeable(&config.physics),
-            heavy_contact_n: config.reward.heavy_contact_cube_weights * cube_weight_n,
+            heavy_contact_n: heavy_contact_n(&config.physics),
             half_diagonals_m: block_array(|block| nalgebra::Vector3::from(inventory.half_extents_m(block)).norm()),
             config: config.clone(),
         };
@@ -94,7 +105,7 @@ impl World {
     fn refit(&mut self, config: &EnvironmentConfig) {
         let inventory = Inventory::standard();
         self.engine = Engine::new(&config.physics, inventory);
-        self.connections = Connections::new(&config.magnets, &config.physics, inventory);
+        self.connections = Connections::new(&config.magnets, inventory);
         self.grippers = Grippers::new(config);
     }
 
@@ -110,9 +121,9 @@ impl World {
     /// Runs the substeps of a control step and returns its number of heavy contacts.
     fn run_substeps(&mut self) -> u8 {
         let mut heavy = [0_u32; N_BLOCKS + 1];
-        let mut n_left = self.config.physics.n_substeps;
+        let mut n_left = N_SUBSTEPS;
         while n_left > 0 {
-            let n_merged = if self.connections.may_merge(&self.engine) { self.n_mergeable.min(n_left) } else { 1 };
+            let n_merged = if self.connections.may_merge(&self.engine) { MAX_MERGED.min(n_left) } else { 1 };
             n_left -= n_merged;
             self.engine.merge(n_merged);
             self.connections.attract(&mut self.engine);
@@ -143,11 +154,10 @@ impl World {
 
     /// Returns whether all blocks are where a valid simulation can have them.
     fn is_sound(&self) -> bool {
-        let limit = self.config.physics.runaway_m;
         self.scene.blocks.iter().zip(&self.scene.speeds_mps).all(|(pose, speed)| {
             let [x, y, z] = pose.position;
             // A NaN fails the comparison.
-            x * x + y * y + z * z <= limit * limit
+            x * x + y * y + z * z <= RUNAWAY_M * RUNAWAY_M
                 && speed.is_finite()
                 && pose.orientation.iter().all(|q| q.is_finite())
         })
@@ -160,11 +170,10 @@ impl Env for World {
         let find = |id| catalog.find(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
         let blueprint = find(&task.blueprint)?.permuted(&task.assignment);
         let mut rng = ChaCha8Rng::seed_from_u64(task.seed);
-        let config = &self.config.reset;
         let layout = match &task.start {
-            Start::Scattered => Some(reset::scattered(config, &mut rng)?),
-            Start::Prebuilt(id) => Some(reset::prebuilt(config, &find(id)?.permuted(&task.assignment), &mut rng)?),
-            Start::NearGoal { undone } => Some(reset::near_goal(config, &blueprint, *undone, &mut rng)?),
+            Start::Scattered => Some(reset::scattered(&mut rng)?),
+            Start::Prebuilt(id) => Some(reset::prebuilt(&find(id)?.permuted(&task.assignment), &mut rng)?),
+            Start::NearGoal { undone } => Some(reset::near_goal(&blueprint, *undone, &mut rng)?),
             Start::AsItIs if !self.alive => return Err(ResetError::NothingToKeep),
             Start::AsItIs => None,
         };
@@ -209,7 +218,7 @@ impl Env for World {
         } else {
             Status::Running
         };
-        StepResult { reward: reward(&before, &self.potential, &self.config.reward), status }
+        StepResult { reward: reward(&before, &self.potential), status }
     }
 
     fn scene(&self) -> &Scene {
@@ -225,9 +234,10 @@ impl Env for World {
     }
 }
 
-/// Returns how many substeps fit into the longest one.
-fn n_mergeable(physics: &PhysicsConfig) -> u8 {
-    if physics.merge_substeps { (MERGED_MS / physics.substep_ms).max(1.0) as u8 } else { 1 }
+/// Returns the force above which a contact is heavy, N.
+fn heavy_contact_n(physics: &PhysicsConfig) -> f32 {
+    let cube_weight_n = physics.density_kgpm3 * blueprints::UNIT_M.powi(3) * physics.gravity_mps2;
+    HEAVY_CONTACT_CUBE_WEIGHTS * cube_weight_n
 }
 
 fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError> {

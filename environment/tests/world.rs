@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
-use environment::config::{ForcePenalty, RandomizationConfig, RewardConfig, SuccessConfig};
+use environment::config::{RandomizationConfig, RewardConfig, SuccessConfig};
 use environment::reward::potential;
 use environment::success::is_success;
 use environment::{Env, EnvironmentConfig, Expert, StableSuccess, World, contract};
@@ -235,15 +235,10 @@ fn a_single_gripper_world_ignores_the_second_choice() {
 }
 
 #[test]
-fn the_force_penalty_is_refunded_unless_it_is_per_step() {
+fn the_cost_of_a_heavy_contact_is_refunded_when_it_ends() {
     let (calm, hit) = (RewardTerms::default(), RewardTerms { force: -0.3, ..RewardTerms::default() });
-    let differenced = RewardConfig::default();
-    let per_step = RewardConfig { force_penalty: ForcePenalty::PerStep, ..RewardConfig::default() };
-    let forces = |config: &RewardConfig| {
-        [(&calm, &hit), (&hit, &hit), (&hit, &calm)].map(|(a, b)| environment::reward::reward(a, b, config).force)
-    };
-    assert_eq!(forces(&differenced), [-0.3, 0.0, 0.3]);
-    assert_eq!(forces(&per_step), [-0.3, -0.3, 0.0]);
+    let forces = [(&calm, &hit), (&hit, &hit), (&hit, &calm)].map(|(a, b)| environment::reward::reward(a, b).force);
+    assert_eq!(forces, [-0.3, 0.0, 0.3]);
 }
 
 #[test]

@@ -13,8 +13,7 @@ use crate::config::Starts;
 use crate::report::{End, EpisodeResult};
 use crate::setup::EvalError;
 
-/// Number of steps in which a success can prove stable after the grippers have let go, unless the setting asks for
-/// more.
+/// Number of steps in which a success can prove stable after the grippers have let go.
 const SETTLE_STEPS: u8 = 10;
 
 /// An episode to run.
@@ -252,7 +251,7 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
 /// Whether a success proves stable after the grippers have let go.
 fn settles<E: Env>(env: &mut E, success: &SuccessConfig) -> bool {
     let mut stable = StableSuccess::default();
-    (0..SETTLE_STEPS.max(success.stable_steps)).any(|_| {
+    (0..SETTLE_STEPS).any(|_| {
         env.step(&Action::IDLE);
         stable.observe(env.scene(), env.blueprint(), success)
     })

@@ -5,6 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use environment::vec_env::generator;
+use environment::world::CONTROL_DT_S;
 use environment::{Env, EnvironmentConfig, World};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
@@ -174,7 +175,7 @@ impl Worlds {
     /// Length of a step in seconds.
     #[getter]
     fn step_s(&self) -> f32 {
-        f32::from(self.config.physics.n_substeps) * self.config.physics.substep_s()
+        CONTROL_DT_S
     }
 
     /// Ids of the goals that episodes are drawn from.

@@ -89,16 +89,12 @@ WORLD: dict[str, tuple[Any, ...]] = {
         ({"episode_steps": 10**30}, f"settings.episode_steps is {10**30}"),
         ({"physics": {"friction": "x"}}, 'settings.physics.friction = "x": expected 0..=2'),
         ({"physics": {"friction": 9}}, "settings.physics.friction = 9: expected 0..=2"),
-        ({"physics": {"merge_substeps": 1}}, "settings.physics.merge_substeps = 1: expected a boolean"),
         ({"physics": 3}, "settings.physics = 3: expected"),
-        ({"physics": {"n_grippers": 1}}, "settings.physics: unknown field `n_grippers`, expected one of `n_substeps`"),
+        ({"physics": {"n_grippers": 1}}, "settings.physics: unknown field `n_grippers`, expected one of `gravity_mps2`"),
         ({"fysics": {"friction": 1}}, "settings: unknown field `fysics`, expected one of `n_grippers`"),
         ({"randomization": {"friction": [1]}}, "settings.randomization.friction = [1]: expected 0.1..=10"),
         ({"randomization": {"friction": [2, 1]}}, "settings.randomization.friction = [2, 1]: expected the lower end"),
-        (
-            {"reward": {"force_penalty": "x"}},
-            'settings.reward.force_penalty = "x": expected `differenced` or `per-step`',
-        ),
+        ({"reward": {"dense_weight": "x"}}, 'settings.reward.dense_weight = "x": expected 0..=10'),
     ),
     "features": (
         *(None, 3, ["x"], "none", b"all", ({"up": True}, "features: unknown field `up`, expected one of `up_axis`")),

@@ -6,6 +6,7 @@ use proto::Move;
 
 use super::view::View;
 use crate::config::EnvironmentConfig;
+use crate::world::CONTROL_DT_S;
 
 /// Minimum gap to other blocks on the way, m.
 const MARGIN_M: f32 = 0.022;
@@ -53,11 +54,7 @@ pub(super) struct Load {
 
 impl Limits {
     pub(super) fn new(config: &EnvironmentConfig) -> Self {
-        Self {
-            max_speed_mps: config.max_speed_mps,
-            max_turn_radps: config.max_turn_radps,
-            step_s: config.physics.substep_s() * f32::from(config.physics.n_substeps),
-        }
+        Self { max_speed_mps: config.max_speed_mps, max_turn_radps: config.max_turn_radps, step_s: CONTROL_DT_S }
     }
 
     /// Returns the motion that reaches `to` from `from` in one step, or approaches it as fast as the gripper can.

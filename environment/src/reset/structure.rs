@@ -10,17 +10,18 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use super::{Draft, Footprint, half_size, symmetric, yaw_of};
-use crate::config::ResetConfig;
+
+/// Maximum offset of a structure from the origin in x and in y, m.
+const MAX_OFFSET_M: f32 = 0.2;
 
 /// Connects the blocks `kept` of `blueprint` near the origin, turned by a random yaw, with the lowest on the ground.
-pub(super) fn stand(config: &ResetConfig, blueprint: &Blueprint, kept: &[BlockIdx], rng: &mut ChaCha8Rng) -> Draft {
+pub(super) fn stand(blueprint: &Blueprint, kept: &[BlockIdx], rng: &mut ChaCha8Rng) -> Draft {
     let placements: Vec<_> = blueprint.placements().iter().filter(|p| kept.contains(&p.block)).collect();
     let n = placements.len().max(1) as f32;
     let middle: Vector3<f32> = placements.iter().map(|p| p.position_m()).sum::<Vector3<f32>>() / n;
     let bottom = placements.iter().map(|p| bottom_half_units(p)).min().unwrap_or(0) as f32 * blueprints::UNIT_M / 2.0;
     let yaw = yaw_of(rng.random_range(0.0..TAU));
-    let offset = config.structure_offset_m;
-    let origin = Vector3::new(symmetric(rng, offset), symmetric(rng, offset), 0.0);
+    let origin = Vector3::new(symmetric(rng, MAX_OFFSET_M), symmetric(rng, MAX_OFFSET_M), 0.0);
     let mut draft = Draft::default();
     for placement in placements {
         let from_middle = placement.position_m() - Vector3::new(middle.x, middle.y, bottom);
