@@ -66,7 +66,7 @@ pub struct World {
     n_steps: u16,
     /// Whether there is a valid state to continue from.
     alive: bool,
-    /// Force above which a contact is heavy, N.
+    /// Force above which a contact is heavy in this episode, N.
     heavy_contact_n: f32,
     half_diagonals_m: [f32; N_BLOCKS],
 }
@@ -107,6 +107,7 @@ impl World {
         self.engine = Engine::new(&config.physics, inventory);
         self.connections = Connections::new(&config.magnets, inventory);
         self.grippers = Grippers::new(config);
+        self.heavy_contact_n = heavy_contact_n(&config.physics);
     }
 
     fn place(&mut self, layout: &Layout) {

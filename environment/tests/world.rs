@@ -242,6 +242,31 @@ fn the_cost_of_a_heavy_contact_is_refunded_when_it_ends() {
 }
 
 #[test]
+fn a_contact_is_heavy_by_the_density_of_its_episode() {
+    let goal = Catalog::builtin().iter().next().unwrap();
+    let start = Start::Prebuilt("literal_16_000".parse().unwrap());
+    // Drawn in one world, and set in the other.
+    let mut worlds =
+        [world(|c| c.randomization.density = Some([0.25, 0.25])), world(|c| c.physics.density_kgpm3 *= 0.25)];
+    for world in &mut worlds {
+        world.reset(&task(goal, start.clone(), 1), Catalog::builtin()).unwrap();
+    }
+    let mut n_heavy = 0;
+    for step in 0..40_u8 {
+        // Blocks are lifted, and hit the ground and each other.
+        let up = if step % 4 < 2 { 1.0 } else { -1.0 };
+        let action =
+            Action { choices: [Some(block(step % 16)), Some(block(15 - step % 16))], moves: [[up; 6]; N_BLOCKS] };
+        for world in &mut worlds {
+            world.step(&action);
+        }
+        assert!(worlds[0].scene() == worlds[1].scene(), "step {step}");
+        n_heavy += u32::from(worlds[0].scene().n_heavy_contacts);
+    }
+    assert!(n_heavy > 10, "{n_heavy}");
+}
+
+#[test]
 fn a_shuffled_assignment_permutes_blocks_of_one_type() {
     use rand_chacha::rand_core::SeedableRng;
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
