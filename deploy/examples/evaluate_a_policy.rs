@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use blueprints::{Blueprint, Catalog, Split};
 use deploy::config::{Config, Preset};
-use evaluator::{Detail, EpisodeConfig, EvalSetup, evaluate, render};
+use evaluator::{Detail, EpisodeConfig, EvalSetup, N_WORLDS, evaluate, render};
 use learner::Model;
 
 fn main() -> anyhow::Result<()> {
@@ -32,6 +32,7 @@ fn main() -> anyhow::Result<()> {
         environment: config.environment,
         episodes: EpisodeConfig { n_episodes: 5, ..config.evaluator.episodes },
         reset_free: None,
+        n_worlds: N_WORLDS,
         // The same seed gives the same start states, so two policies can be compared episode by episode.
         seed: 1,
     };

@@ -3,7 +3,6 @@
 use blueprints::{Blueprint, BlueprintId, Catalog, Group, N_BLOCKS, Split};
 use proto::setting::{Section, Setting, key};
 use proto::{ActionMode, InvalidSetting, settings};
-use render::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 use serde::{Deserialize, Serialize};
 
 settings! {
@@ -25,9 +24,6 @@ settings! {
         pub best: BestConfig;
         /// Several goals in a row without a reset, after the episodes. Default: none.
         pub reset_free: Option<ResetFreeConfig>;
-        /// Niceness of the evaluation's threads, as for the command `nice`; Linux only. The default keeps evaluations
-        /// from slowing down training.
-        pub nice: i32 = 10, in 0..=19;
         /// Films of some episodes. Default: one success and one failure per group.
         pub films: FilmsConfig;
     }
@@ -59,8 +55,6 @@ settings! {
             where |c| !c.acting.is_empty() && are_distinct(&c.acting) => "\"greedy\", \"sampled\" or both";
         /// Number of threads. By default, training loses at most one core while an evaluation runs.
         pub n_threads: usize = 1, in 1..=64;
-        /// Worlds per thread; each step is one forward pass over all of them.
-        pub n_worlds: usize = 20, in 1..=1024;
     }
 
     /// The success by which the best weights of a run are chosen: the share of episodes on the goals of one split in
@@ -74,18 +68,18 @@ settings! {
         pub acting: ActionMode = ActionMode::Sampled;
     }
 
-    /// Runs of several goals in a world that is never reset. The defaults are from the paper, "Reset-Free Evaluation".
+    /// Runs of several goals in a world that is never reset. Goals are training blueprints of at least 12 blocks. The
+    /// defaults are from the paper, "Reset-Free Evaluation".
     #[derive(Eq)]
     pub struct ResetFreeConfig {
         /// Number of runs.
         pub n_runs: u32 = 50, in 1..=10_000;
         /// Goals per run.
         pub n_goals: u32 = 10, in 1..=1000;
-        /// Minimum number of blocks of a goal; goals are training blueprints.
-        pub min_blocks: usize = 12, in 1..=N_BLOCKS;
     }
 
-    /// Which episodes of an evaluation become films, and how. Only an evaluator that keeps records makes films.
+    /// Which episodes of an evaluation become films: the first success and the first failure of each group and blueprint,
+    /// in the first action mode. Only an evaluator that keeps records makes films.
     ///
     /// Films are on by default because numbers do not show what a policy does wrong. They cost little: two films per
     /// group and evaluation, each about a second on one core.
@@ -97,19 +91,6 @@ settings! {
         /// Blueprints to film in addition to the groups.
         pub blueprints: Vec<BlueprintId> = Vec::new(),
             where |c| are_distinct(&c.blueprints) => "names of blueprints, none twice";
-        /// Number of successes, and of failures, filmed per group or blueprint in each evaluation: the first ones in
-        /// the first action mode.
-        pub n_of_each: u32 = 1, in 0..=10;
-        /// Width of the frames in pixels.
-        pub width: usize = 640, in MIN_WIDTH..=MAX_WIDTH;
-        /// Frames per second; a second is ten timesteps.
-        pub fps: u32 = 20, in 1..=MAX_FPS;
-        /// Number of films kept per blueprint and ending (success or failure). Older films are removed with their
-        /// recordings.
-        pub keep: usize = 10, in 1..=10_000;
-        /// Space for small TensorBoard films, in megabytes. When it is full, the older half is deleted. 0 disables
-        /// them.
-        pub tensorboard_mb: u64 = 64, in 0..=10_000;
     }
 }
 
@@ -223,7 +204,7 @@ impl FilmsConfig {
 
     /// Whether any film is requested.
     pub fn any(&self) -> bool {
-        self.n_of_each > 0 && !(self.groups.is_empty() && self.blueprints.is_empty())
+        !(self.groups.is_empty() && self.blueprints.is_empty())
     }
 }
 
@@ -280,10 +261,10 @@ mod tests {
             ),
             (
                 EvaluatorConfig {
-                    reset_free: Some(ResetFreeConfig { min_blocks: 17, ..Default::default() }),
+                    reset_free: Some(ResetFreeConfig { n_goals: 0, ..Default::default() }),
                     ..Default::default()
                 },
-                "evaluator.reset_free.min_blocks = 17: expected 1..=16",
+                "evaluator.reset_free.n_goals = 0: expected 1..=1000",
             ),
             (
                 EvaluatorConfig {

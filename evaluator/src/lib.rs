@@ -46,5 +46,5 @@ pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use pool::EvaluationProgress;
 pub use record::{Callbacks, Recorded, record};
 pub use run::{Listeners, Stop, Summary, run};
-pub use setup::{EvalError, EvalSetup, EvaluatorSetup};
+pub use setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
 pub use table::{Detail, render, render_endings, render_expert};

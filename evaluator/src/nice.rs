@@ -3,15 +3,16 @@
 use anyhow::Context;
 use tokio::sync::oneshot;
 
-/// Runs `work` on a new thread with niceness `nice` (0 to 19), which the threads that it starts inherit. On systems
-/// without per-thread niceness, the thread has normal priority.
-pub(crate) async fn on_thread<T: Send + 'static>(
-    nice: i32,
-    work: impl FnOnce() -> T + Send + 'static,
-) -> anyhow::Result<T> {
+/// Niceness of an evaluation's threads, as for the command `nice`. It keeps evaluations from slowing down training.
+#[cfg(target_os = "linux")]
+const NICE: i32 = 10;
+
+/// Runs `work` on a new nice thread, whose niceness the threads that it starts inherit. On systems without per-thread
+/// niceness, the thread has normal priority.
+pub(crate) async fn on_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> anyhow::Result<T> {
     let (sender, done) = oneshot::channel();
     let run = move || {
-        give_way(nice);
+        give_way();
         // The receiver may be gone; the result is then not needed.
         let _result = sender.send(work());
     };
@@ -20,13 +21,13 @@ pub(crate) async fn on_thread<T: Send + 'static>(
 }
 
 #[cfg(target_os = "linux")]
-fn give_way(nice: i32) {
+fn give_way() {
     // On Linux, despite its name, this call applies to one thread. A failure leaves the priority unchanged, which is
     // harmless.
-    if let Err(error) = rustix::process::setpriority_process(Some(rustix::thread::gettid()), nice) {
-        tracing::debug!(%error, nice, "the niceness of a thread was not set");
+    if let Err(error) = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICE) {
+        tracing::debug!(%error, "the niceness of a thread was not set");
     }
 }
 
 #[cfg(not(target_os = "linux"))]
-fn give_way(_: i32) {}
+fn give_way() {}

@@ -46,7 +46,7 @@ where
         acting: ActionMode,
     ) -> (Vec<Vec<EpisodeResult>>, Result<(), EvalError>) {
         let n_threads = self.setup.episodes.n_threads.min(sequences.len()).max(1);
-        let n_worlds = self.setup.episodes.n_worlds.min(sequences.len().div_ceil(n_threads));
+        let n_worlds = self.setup.n_worlds.min(sequences.len().div_ceil(n_threads));
         let queue = Queue::new(sequences);
         let work = || {
             let mut completed = Vec::new();
@@ -179,7 +179,7 @@ mod tests {
 
     #[test]
     fn results_come_in_the_order_of_the_sequences_and_are_counted() {
-        let setup = small_setup(EpisodeConfig { n_threads: 3, n_worlds: 2, ..Default::default() });
+        let setup = EvalSetup { n_worlds: 2, ..small_setup(EpisodeConfig { n_threads: 3, ..Default::default() }) };
         let (sequences, progress) = (sequences(12), watch::Sender::default());
         let pool = EvaluationPool {
             setup: &setup,
@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn an_interrupted_pool_returns_the_completed_sequences() {
-        let setup = small_setup(EpisodeConfig { n_threads: 1, n_worlds: 1, ..Default::default() });
+        let setup = EvalSetup { n_worlds: 1, ..small_setup(EpisodeConfig { n_threads: 1, ..Default::default() }) };
         let sequences = sequences(5);
         let progress = watch::Sender::<EvaluationProgress>::default();
         let pool = EvaluationPool {

@@ -174,9 +174,9 @@ mod tests {
     }
 
     fn setup(n_threads: usize) -> EvalSetup<'static> {
-        let episodes = EpisodeConfig { n_episodes: 3, n_threads, n_worlds: 1, ..EpisodeConfig::default() };
+        let episodes = EpisodeConfig { n_episodes: 3, n_threads, ..EpisodeConfig::default() };
         let environment = EnvironmentConfig::default();
-        EvalSetup { catalog: Catalog::builtin(), environment, episodes, reset_free: None, seed: 5 }
+        EvalSetup { catalog: Catalog::builtin(), environment, episodes, reset_free: None, n_worlds: 1, seed: 5 }
     }
 
     fn blueprints() -> Vec<&'static Blueprint> {

@@ -12,8 +12,11 @@ use crate::report::{End, EpisodeResult, outcome};
 use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::EvalError;
 
+/// Minimum number of blocks of a goal (paper).
+pub(crate) const MIN_BLOCKS: usize = 12;
+
 /// Evaluates the agent of a pool on runs over several goals. A run begins scattered, and each goal begins where the
-/// last one ended, by success or at the time limit. Goals are training blueprints of at least `min_blocks` blocks,
+/// last one ended, by success or at the time limit. Goals are training blueprints of at least [`MIN_BLOCKS`] blocks,
 /// never the same twice in a row. The pool's observer does not see the episodes.
 ///
 /// A world that diverged is reset, and the reset is counted. Runs depend only on the setup's seed.
@@ -50,9 +53,9 @@ where
 /// If no training blueprint is large enough.
 fn sequences(catalog: &Catalog, config: &ResetFreeConfig, seed: u64) -> Result<Vec<Vec<EpisodeSpec>>, EvalError> {
     let mut goals = catalog.of_split(Split::Train);
-    goals.retain(|blueprint| blueprint.n_blocks() >= config.min_blocks);
+    goals.retain(|blueprint| blueprint.n_blocks() >= MIN_BLOCKS);
     if goals.is_empty() {
-        return Err(EvalError::NoGoals { min_blocks: config.min_blocks });
+        return Err(EvalError::NoGoals);
     }
     Ok(plan_runs(&goals, config, seed))
 }
@@ -138,7 +141,7 @@ mod tests {
     #[test]
     fn a_run_begins_scattered_and_changes_its_goal_every_time() {
         let goals = Catalog::builtin().of_split(Split::Train);
-        let config = ResetFreeConfig { n_runs: 20, n_goals: 10, min_blocks: 1 };
+        let config = ResetFreeConfig { n_runs: 20, n_goals: 10 };
         let plan = plan_runs(&goals[..2], &config, 3);
         assert_eq!((plan.len(), plan[0].len()), (20, 10));
         for run in &plan {

@@ -23,7 +23,7 @@ use crate::nice::on_thread;
 use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::records::Records;
 use crate::schedule::{Due, LastEvaluation, due};
-use crate::setup::{EvalError, EvalSetup, EvaluatorSetup};
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
 use crate::vetting::vetted;
 
 /// How long an evaluator waits for another one with its name to disconnect: a killed process still appears alive for up
@@ -420,10 +420,11 @@ async fn evaluate_once(
         environment: setup.environment.clone(),
         episodes: setup.config.episodes.clone(),
         reset_free: setup.config.reset_free.clone(),
+        n_worlds: N_WORLDS,
         seed: setup.seed,
     };
     let (policy, shutdown, pulse) = (setup.policy.clone(), shutdown.clone(), pulse.clone());
-    on_thread(setup.config.nice, move || {
+    on_thread(move || {
         let keep_going = || {
             pulse.beat();
             !shutdown.is_cancelled()

@@ -9,6 +9,10 @@ use proto::InvalidSetting;
 use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
+use crate::reset_free::MIN_BLOCKS;
+
+/// Worlds per thread, unless the agent gains nothing from several.
+pub const N_WORLDS: usize = 20;
 
 /// Everything that an evaluation needs except the agent and the blueprints.
 #[derive(Clone, Debug)]
@@ -21,6 +25,8 @@ pub struct EvalSetup<'c> {
     pub episodes: EpisodeConfig,
     /// Reset-free runs in addition to the episodes, if any.
     pub reset_free: Option<ResetFreeConfig>,
+    /// Worlds per thread, usually [`N_WORLDS`]; each step is one forward pass over all of them.
+    pub n_worlds: usize,
     /// Seed of start states and sampled actions: evaluations with the same seed can be compared episode by episode.
     pub seed: u64,
 }
@@ -38,11 +44,8 @@ pub enum EvalError {
     #[error(transparent)]
     Start(#[from] StartError),
     /// No training blueprint is large enough for the reset-free runs.
-    #[error("no training blueprint has {min_blocks} blocks or more for the reset-free runs")]
-    NoGoals {
-        /// The configured minimum.
-        min_blocks: usize,
-    },
+    #[error("no training blueprint has {MIN_BLOCKS} blocks or more for the reset-free runs")]
+    NoGoals,
     /// The caller stopped the evaluation.
     #[error("the evaluation was interrupted")]
     Interrupted,

@@ -7,7 +7,7 @@ use proto::{Action, Pose, Start, Task};
 
 use crate::config::EpisodeConfig;
 use crate::expert::evaluate_expert;
-use crate::setup::{EvalError, EvalSetup};
+use crate::setup::{EvalError, EvalSetup, N_WORLDS};
 
 /// Maximum distance that a block of a standing blueprint may move, m (0.2 units).
 pub const MAX_DRIFT_M: f32 = 0.02;
@@ -90,6 +90,7 @@ pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> R
         environment: environment.clone(),
         episodes: EpisodeConfig { n_episodes: N_EPISODES, ..EpisodeConfig::default() },
         reset_free: None,
+        n_worlds: N_WORLDS,
         seed: 0,
     };
     let report = evaluate_expert(&setup, &[blueprint], &|| true)?;

@@ -19,7 +19,7 @@ const SMALL: [&str; 10] = [
     "evaluator.episodes.acting=[\"greedy\"]",
     "policy.network.width=16",
     "policy.network.value_hidden=[16]",
-    "evaluator.films.n_of_each=0",
+    "evaluator.films.groups=[]",
 ];
 
 fn sweep(folder: &Path, args: &[&str]) -> Command {

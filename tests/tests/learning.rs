@@ -3,7 +3,7 @@
 use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
-use evaluator::{EvalSetup, evaluate};
+use evaluator::{EvalSetup, N_WORLDS, evaluate};
 use learner::{Learner, LearnerSetup};
 
 /// A preset trained in lockstep: worlds pause while the learner updates.
@@ -67,6 +67,7 @@ impl Ring {
             environment: self.config.environment.clone(),
             episodes: self.config.evaluator.episodes.clone(),
             reset_free: None,
+            n_worlds: N_WORLDS,
             seed: self.config.seed,
         };
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use blueprints::{Catalog, Split};
 use evaluator::config::{EpisodeConfig, Starts};
-use evaluator::{EnvironmentConfig, EvalSetup, evaluate};
+use evaluator::{EnvironmentConfig, EvalSetup, N_WORLDS, evaluate};
 use learner::Model;
 use proto::ActionMode;
 
@@ -53,6 +53,7 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
             ..EpisodeConfig::default()
         },
         reset_free: None,
+        n_worlds: N_WORLDS,
         seed: 1,
     };
     let mut goals = catalog.of_split(Split::Validation).to_vec();

@@ -3,7 +3,9 @@
 use std::time::Instant;
 
 use blueprints::{Blueprint, Split};
-use evaluator::{Endings, EvalSetup, EvaluatorConfig, Follower, Selection, evaluate_followed, render, render_endings};
+use evaluator::{
+    Endings, EvalSetup, EvaluatorConfig, Follower, N_WORLDS, Selection, evaluate_followed, render, render_endings,
+};
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, tell_choices};
@@ -49,6 +51,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         environment,
         episodes,
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
+        n_worlds: N_WORLDS,
         seed: config.seed,
     };
     let n_planned = setup.episodes.acting.len() * blueprints.len();

@@ -74,15 +74,15 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
     let setup = EvalSetup {
         catalog,
         environment,
-        // The expert plans for each world separately, so more than one world per thread gains nothing.
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
             starts: args.start.into(),
             n_threads,
-            n_worlds: 1,
             ..Default::default()
         },
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
+        // The expert plans for each world separately, so more than one world per thread gains nothing.
+        n_worlds: 1,
         seed: args.seed,
     };
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;

@@ -52,16 +52,16 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let setup = EvalSetup {
         catalog: goals.catalog(),
         environment: config.evaluation_environment(),
-        // One world per thread: in a batch of several, rounding makes actions depend on which worlds share the batch,
-        // and that depends on timing.
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
             starts: args.start.into(),
             n_threads: limits::n_threads(args.threads),
-            n_worlds: 1,
             ..EpisodeConfig::default()
         },
         reset_free: None,
+        // One world per thread: in a batch of several, rounding makes actions depend on which worlds share the batch,
+        // and that depends on timing.
+        n_worlds: 1,
         seed: args.seed,
     };
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;

@@ -11,6 +11,7 @@ use proto::{ActionMode, Normalization, WeightsVersion};
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig};
 use crate::films::EpisodeSelector;
+use crate::setup::N_WORLDS;
 
 /// A network small enough for tests.
 pub(crate) fn small_policy() -> PolicyConfig {
@@ -27,6 +28,7 @@ pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
         environment: EnvironmentConfig { episode_steps: 8, ..Default::default() },
         episodes,
         reset_free: None,
+        n_worlds: N_WORLDS,
         seed: 3,
     }
 }
@@ -61,7 +63,7 @@ fn report(setup: &EvalSetup<'_>, n_blueprints: usize) -> EvalReport {
 
 #[test]
 fn the_same_weights_get_the_same_report() {
-    let setup = small_setup(EpisodeConfig { n_episodes: 3, n_worlds: 4, ..Default::default() });
+    let setup = EvalSetup { n_worlds: 4, ..small_setup(EpisodeConfig { n_episodes: 3, ..Default::default() }) };
     let first = report(&setup, 2);
     assert_eq!(first, report(&setup, 2));
     let summary = &first.summary;
@@ -92,8 +94,11 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
 
 #[test]
 fn an_episode_is_the_same_whatever_runs_beside_it() {
-    let alone = small_setup(EpisodeConfig { n_episodes: 2, n_worlds: 1, ..Default::default() });
-    let crowded = small_setup(EpisodeConfig { n_episodes: 2, n_worlds: 3, n_threads: 2, ..Default::default() });
+    let setup = |n_threads, n_worlds| {
+        let episodes = EpisodeConfig { n_episodes: 2, n_threads, ..Default::default() };
+        EvalSetup { n_worlds, ..small_setup(episodes) }
+    };
+    let (alone, crowded) = (setup(1, 1), setup(2, 3));
     let (alone, crowded) = (report(&alone, 1), report(&crowded, 3));
     let (alone, crowded) = (&alone.blueprints[0], &crowded.blueprints[0]);
     assert_eq!(alone.blueprint, crowded.blueprint);
@@ -106,7 +111,8 @@ fn an_episode_is_the_same_whatever_runs_beside_it() {
 #[test]
 fn what_an_interrupted_evaluation_found_is_reported() {
     let acting = vec![ActionMode::Greedy];
-    let setup = small_setup(EpisodeConfig { n_episodes: 3, acting, n_threads: 1, n_worlds: 1, ..Default::default() });
+    let episodes = EpisodeConfig { n_episodes: 3, acting, n_threads: 1, ..Default::default() };
+    let setup = EvalSetup { n_worlds: 1, ..small_setup(episodes) };
     let n_ended = AtomicUsize::new(0);
     let follower = Follower {
         keep_going: &|| n_ended.load(Ordering::Relaxed) < 2,
@@ -129,17 +135,18 @@ fn weights_of_another_network_are_refused() {
 
 #[test]
 fn what_one_thread_cannot_start_ends_the_work_of_all() {
-    let episodes = EpisodeConfig { n_episodes: 1, n_threads: 2, n_worlds: 1, ..Default::default() };
+    let episodes = EpisodeConfig { n_episodes: 1, n_threads: 2, ..Default::default() };
     let goals = blueprints(2);
     let catalog = Catalog::of_one(goals[0].clone());
-    let setup = EvalSetup { catalog: &catalog, ..small_setup(episodes) };
+    let setup = EvalSetup { catalog: &catalog, n_worlds: 1, ..small_setup(episodes) };
     let result = evaluate(&setup, &small_policy(), &weights(), &goals, &|| true);
     assert_eq!(result.unwrap_err().to_string(), format!("an episode of blueprint {} cannot be started", goals[1].id()));
 }
 
 #[test]
 fn a_panic_of_one_thread_is_passed_on() {
-    let setup = small_setup(EpisodeConfig { n_episodes: 1, n_threads: 2, n_worlds: 1, ..Default::default() });
+    let episodes = EpisodeConfig { n_episodes: 1, n_threads: 2, ..Default::default() };
+    let setup = EvalSetup { n_worlds: 1, ..small_setup(episodes) };
     let n_calls = AtomicUsize::new(0);
     let keep_going = || match n_calls.fetch_add(1, Ordering::Relaxed) {
         0 => panic!("out of order"),
@@ -154,12 +161,13 @@ fn a_panic_of_one_thread_is_passed_on() {
 fn reset_free_runs_count_every_goal() {
     let mut setup =
         small_setup(EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() });
-    setup.reset_free = Some(ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 });
+    setup.reset_free = Some(ResetFreeConfig { n_runs: 2, n_goals: 3 });
     let runs = report(&setup, 1).summary.reset_free.unwrap();
     assert_eq!((runs.n_runs, runs.n_goals), (2, 3));
     assert_eq!((runs.greedy.outcome.success.n_episodes, runs.greedy.n_successes_by_goal.len()), (6, 3));
     assert_eq!(runs.sampled.outcome.success.n_episodes, 0);
-    setup.reset_free = Some(ResetFreeConfig { min_blocks: 17, ..Default::default() });
+    let small = Catalog::of_one(blueprints(1)[0].clone());
+    let setup = EvalSetup { catalog: &small, ..setup };
     let result = evaluate(&setup, &small_policy(), &weights(), &blueprints(1), &|| true);
-    assert_eq!(result.unwrap_err().to_string(), "no training blueprint has 17 blocks or more for the reset-free runs");
+    assert_eq!(result.unwrap_err().to_string(), "no training blueprint has 12 blocks or more for the reset-free runs");
 }

@@ -7,6 +7,7 @@ use environment::EnvironmentConfig;
 
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig, Starts};
+use crate::setup::N_WORLDS;
 
 fn setup() -> EvalSetup<'static> {
     EvalSetup {
@@ -14,6 +15,7 @@ fn setup() -> EvalSetup<'static> {
         environment: EnvironmentConfig::default(),
         episodes: EpisodeConfig { n_episodes: 5, starts: Starts::Mixed, n_threads: 2, ..Default::default() },
         reset_free: None,
+        n_worlds: N_WORLDS,
         seed: 1,
     }
 }
@@ -36,7 +38,7 @@ fn a_report_does_not_depend_on_the_threads() {
     let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(40).collect();
     let report = |n_threads, n_worlds| {
         let mut setup = setup();
-        (setup.episodes.n_threads, setup.episodes.n_worlds) = (n_threads, n_worlds);
+        (setup.episodes.n_threads, setup.n_worlds) = (n_threads, n_worlds);
         evaluate_expert(&setup, &sample, &|| true).unwrap()
     };
     assert_eq!(report(1, 1), report(3, 2));
@@ -70,7 +72,7 @@ fn an_evaluation_ends_when_it_is_told_to() {
 
 #[test]
 fn goals_in_a_row_are_built_where_the_last_one_ended() {
-    let config = ResetFreeConfig { n_runs: 2, n_goals: 3, min_blocks: 12 };
+    let config = ResetFreeConfig { n_runs: 2, n_goals: 3 };
     let setup = EvalSetup { reset_free: Some(config), ..setup() };
     let goal = &Catalog::builtin().of_split(Split::Train)[..1];
     let found = evaluate_expert(&setup, goal, &|| true).unwrap().reset_free.unwrap();

@@ -22,6 +22,18 @@ use render::video::{Episode, Film, Miniature, miniature, mp4};
 use runlog::RunPaths;
 use runlog::clips::{ClipName, ClipStore, RECORDING};
 
+/// Width of the frames in pixels.
+const WIDTH_PX: usize = 640;
+
+/// Frames per second; a second is ten timesteps.
+const FPS: u32 = 20;
+
+/// Number of films kept per blueprint and ending (success or failure). Older films are removed with their recordings.
+const N_KEPT: usize = 10;
+
+/// Space for small TensorBoard films, in megabytes. When it is full, the older half is deleted.
+const TENSORBOARD_MB: u64 = 64;
+
 /// A thread that renders the episodes that evaluations put on its queue.
 #[derive(Debug)]
 pub(crate) struct VideoRecorder {
@@ -35,7 +47,7 @@ pub(crate) struct VideoRecorder {
 struct Files {
     videos: ClipStore,
     replays: ClipStore,
-    reel: Option<Reel>,
+    reel: Reel,
     /// The catalog of goals.
     catalog: &'static Catalog,
 }
@@ -66,20 +78,18 @@ impl VideoRecorder {
         if !config.any() {
             return Ok(None);
         }
-        let store = |folder, kind| ClipStore { folder, kind, keep: config.keep };
+        let store = |folder, kind| ClipStore { folder, kind, keep: N_KEPT };
         let tensorboard = paths.tensorboard(Role::Evaluator);
-        let reel = (config.tensorboard_mb > 0)
-            .then(|| Reel::create(&tensorboard, config.tensorboard_mb))
-            .transpose()
+        let reel = Reel::create(&tensorboard, TENSORBOARD_MB)
             .with_context(|| format!("writing to {}", tensorboard.display()))?;
         let mut files =
             Files { videos: store(paths.videos(), "mp4"), replays: store(paths.replays(), RECORDING), reel, catalog };
         let queue = Arc::new(ClipQueue::default());
-        let (its_queue, its_config) = (queue.clone(), config.clone());
+        let its_queue = queue.clone();
         let work = move || {
             while let Some(clip) = its_queue.next() {
                 let is_late = its_queue.is_closed();
-                its_queue.note(files.keep(&clip, &its_config, is_late), &clip);
+                its_queue.note(files.keep(&clip, is_late), &clip);
             }
         };
         let thread = std::thread::Builder::new().name("films".to_owned()).spawn(work)?;
@@ -122,7 +132,7 @@ impl Drop for VideoRecorder {
 
 impl Files {
     /// Keeps the recording of a clip, and its film unless it `is_late`.
-    fn keep(&mut self, clip: &Clip, config: &FilmsConfig, is_late: bool) -> anyhow::Result<Made> {
+    fn keep(&mut self, clip: &Clip, is_late: bool) -> anyhow::Result<Made> {
         let (segment, id) = (&clip.trajectory, &clip.trajectory.task.blueprint);
         let label = ClipName { version: segment.weights_version, ending: clip.ending, number: clip.number };
         self.replays.put(id, label, &encode_recording(segment)).context("keeping the recording")?;
@@ -131,13 +141,12 @@ impl Files {
         }
         let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
         let episode = Episode::new(std::slice::from_ref(segment), goal)?;
-        let film = mp4(Film::new(&episode, config.width).frames(config.fps), config.fps)?;
+        let film = mp4(Film::new(&episode, WIDTH_PX).frames(FPS), FPS)?;
         let path = self.videos.put(id, label, &film).context("keeping the film")?;
         tracing::debug!(path = %path.display(), "a film of an evaluation");
-        let Some(reel) = &mut self.reel else { return Ok(Made::Film { is_oversized: false }) };
         let small = miniature(&episode)?;
         if let Some(small) = &small {
-            reel.add(clip, small).context("writing for TensorBoard")?;
+            self.reel.add(clip, small).context("writing for TensorBoard")?;
         }
         Ok(Made::Film { is_oversized: small.is_none() })
     }

@@ -1,7 +1,7 @@
 //! Selects the episodes of an evaluation to record: those that could become a requested success or failure film.
 
 use parking_lot::{Mutex, MutexGuard};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Group};
@@ -40,7 +40,7 @@ enum Subject {
 
 #[derive(Debug)]
 struct Open {
-    missing: BTreeMap<(Subject, Ending), u32>,
+    missing: BTreeSet<(Subject, Ending)>,
     n_taken: BTreeMap<(BlueprintId, Ending), u32>,
     n_recording: usize,
 }
@@ -55,9 +55,7 @@ impl EpisodeSelector {
     ) -> Option<Self> {
         let groups = config.groups.iter().copied().map(Subject::Group);
         let subjects = groups.chain(config.blueprints.iter().cloned().map(Subject::Blueprint));
-        let missing = subjects
-            .flat_map(|subject| Ending::ALL.map(|ending| ((subject.clone(), ending), config.n_of_each)))
-            .collect();
+        let missing = subjects.flat_map(|subject| Ending::ALL.map(|ending| (subject.clone(), ending))).collect();
         let actor = ActorId::try_from("evaluator".to_owned()).ok()?;
         let open = Mutex::new(Open { missing, n_taken: BTreeMap::new(), n_recording: 0 });
         Some(Self { actor, weights, acting, open, queue })
@@ -113,7 +111,7 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
         };
         let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
         for subject in wanted {
-            open.missing.entry((subject, ending)).and_modify(|n| *n -= 1);
+            open.missing.remove(&(subject, ending));
         }
         let number = open.n_taken.entry((task.blueprint.clone(), ending)).or_insert(0);
         *number += 1;
@@ -123,7 +121,7 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
 
 impl Open {
     fn lacks(&self, subject: &Subject, ending: Ending) -> bool {
-        self.missing.get(&(subject.clone(), ending)).is_some_and(|n| *n > 0)
+        self.missing.contains(&(subject.clone(), ending))
     }
 }
 

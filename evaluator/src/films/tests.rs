@@ -40,7 +40,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let dir = tempfile::tempdir().unwrap();
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
     let weights = Arc::new(weights());
-    let config = FilmsConfig { width: 480, fps: 10, ..Default::default() };
+    let config = FilmsConfig::default();
     let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin()).unwrap().unwrap();
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
@@ -96,32 +96,29 @@ fn selector(config: &FilmsConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
 #[test]
 fn nothing_is_recorded_once_every_wanted_film_is_taken() {
     let queue = Arc::new(ClipQueue::default());
-    let config = FilmsConfig { blueprints: vec![blueprint().id().clone()], n_of_each: 2, ..Default::default() };
+    let config = FilmsConfig { blueprints: vec![blueprint().id().clone()], ..Default::default() };
     let selector = selector(&config, &queue);
     let success = End::Success { stable: true };
     assert!(!play(&selector, &scene(), ActionMode::Sampled, success), "only one way of acting is filmed");
-    for end in [success, success, success, End::TimeLimit] {
-        assert!(play(&selector, &scene(), ActionMode::Greedy, end));
+    for _ in 0..2 {
+        assert!(play(&selector, &scene(), ActionMode::Greedy, success));
     }
-    // Two successes were taken for both group and blueprint; the third was recorded because a failure was still wanted.
-    assert_eq!(queue.counts().n_waiting, 3);
+    // One success was taken for both group and blueprint; the other was recorded because a failure was still wanted.
+    assert_eq!(queue.counts().n_waiting, 1);
     assert!(play(&selector, &scene(), ActionMode::Greedy, End::Diverged), "a diverged episode is a failure");
-    assert_eq!(queue.counts().n_waiting, 4);
+    assert_eq!(queue.counts().n_waiting, 2);
     assert!(!play(&selector, &scene(), ActionMode::Greedy, success));
 }
 
 #[test]
 fn a_full_queue_drops_and_counts_and_nobody_waits() {
     let queue = Arc::new(ClipQueue::default());
-    let config = FilmsConfig { n_of_each: 10, ..Default::default() };
     // Nothing consumes this queue.
-    for _ in 0..ROOM / 10 + 1 {
-        let selector = selector(&config, &queue);
-        (0..10).for_each(|_| assert!(play(&selector, &scene(), ActionMode::Greedy, End::TimeLimit)));
+    for _ in 0..ROOM + 3 {
+        let selector = selector(&FilmsConfig::default(), &queue);
+        assert!(play(&selector, &scene(), ActionMode::Greedy, End::TimeLimit));
     }
-    let n_offered = (ROOM as u64 / 10 + 1) * 10;
-    let expected =
-        FilmCounts { n_waiting: ROOM as u64, dropped_total: n_offered - ROOM as u64, ..FilmCounts::default() };
+    let expected = FilmCounts { n_waiting: ROOM as u64, dropped_total: 3, ..FilmCounts::default() };
     assert_eq!(queue.counts(), expected);
 }
 

@@ -191,7 +191,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
 async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let setup = one_goal(40, None);
+    let setup = one_goal(400, None);
     let (reports, seen) = watch::channel(None);
     let (progress, mut counted) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Default::default() };
@@ -200,16 +200,16 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights())).await.unwrap();
-    // Long before the first part is complete.
+    // Long before the evaluation is complete.
     let some = within(counted.wait_for(|progress| progress.is_some_and(|progress| progress.n_ended > 0)));
     let n_ended = some.await.unwrap().unwrap().n_ended;
     stop.now.cancel();
     assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 0 });
     let report = seen.borrow().clone().unwrap();
     assert!(!report.summary.is_complete);
-    assert_eq!(report.summary.n_planned, 40);
+    assert_eq!(report.summary.n_planned, 400);
     let n_told = report.summary.all.greedy.success.n_episodes;
-    assert!((n_ended..40).contains(&n_told), "{n_told} after {n_ended}");
+    assert!((n_ended..400).contains(&n_told), "{n_told} after {n_ended}");
     bus.close().await;
 }
 
@@ -266,7 +266,7 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
 async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluated_again() {
     let dir = tempfile::tempdir().unwrap();
     let records = RunPaths::new(dir.path());
-    let runs = |n_runs| Some(ResetFreeConfig { n_runs, n_goals: 1, min_blocks: 16 });
+    let runs = |n_runs| Some(ResetFreeConfig { n_runs, n_goals: 1 });
     // The second run resumes from the weights of the first. The third has more episodes, the next ones have runs without
     // resets as well: one, the same again, and two.
     let all = [(1, None, 1), (1, None, 0), (2, None, 1), (2, runs(1), 1), (2, runs(1), 0), (2, runs(2), 1)];
@@ -285,9 +285,9 @@ async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluate
     assert_eq!(History::read(&records.history()).unwrap().len(), 4);
 }
 
-/// A setup with `n_episodes` greedy episodes of one goal, one after another.
+/// A setup with `n_episodes` greedy episodes of one goal.
 fn one_goal(n_episodes: u32, records: Option<RunPaths>) -> EvaluatorSetup {
-    let episodes = EpisodeConfig { n_episodes, acting: vec![ActionMode::Greedy], n_worlds: 1, ..Default::default() };
+    let episodes = EpisodeConfig { n_episodes, acting: vec![ActionMode::Greedy], ..Default::default() };
     let environment = small_setup(episodes.clone()).environment.clone();
     let selection =
         Selection { splits: vec![Split::Train], blueprints: vec!["2_000".parse().unwrap()], ..Default::default() };
