@@ -62,6 +62,7 @@ MOVE = 6
 FORMAT_VERSION = 4
 MAX_NORMALIZED = 10.0
 LAYER_NORM_EPSILON = 1e-5
+MIN_STD = 1e-6
 NO_EDGE = -1e9
 MASKED = -1e9
 # Proposals: kinds with a partner (join, detach), all kinds (hold too), and length of a relation. Hold is the last slot.
@@ -149,14 +150,11 @@ class Config:
     n_grippers: int = 2
     value_hidden: tuple[int, ...] = (512, 512, 512)
     attention: bool = True
-    self_edges: bool = False
     n_layers: int = 3
     n_heads: int = 4
     head_dim: int = 64
     mlp_hidden: int = 256
     init_std: float | None = None
-    max_std: float | None = None
-    floor: float = 1e-6
     mixture: bool = False
 
     @classmethod
@@ -169,19 +167,17 @@ class Config:
             raise ValueError(f"its encoder is `{kind}`; only `gat`, the graph network, is written here")
         shapes = {entry["name"]: entry["shape"] for entry in header["table"]}
         sizes = {name: shapes[f"embed_{name.rstrip('_')}.w"][0] for name in ("node", "edge", "global_")}
-        rest = {"width": network["width"], "n_grippers": network["n_grippers"]}
+        rest = {"width": network["width"], "init_std": network["init_std"]}
+        rest["n_grippers"] = header["policy"]["features"]["n_grippers"]
         # Files from before there was a choice have no such entry.
         rest["mixture"] = network.get("move_head", "gaussian") == "mixture"
-        return cls(**sizes, **rest, **encoder, **network["scale"], value_hidden=tuple(network["value_hidden"]))
+        return cls(**sizes, **rest, **encoder, value_hidden=tuple(network["value_hidden"]))
 
     def scale_offset(self) -> float:
         """Returns the constant added before the softplus so that an input of 0 yields `init_std`."""
         if self.init_std is None:
             return 0.0
-        std = self.init_std
-        if self.max_std is not None:
-            std = self.max_std * math.atanh(std / self.max_std)
-        return math.log(math.expm1(max(std - self.floor, 1e-6)))
+        return math.log(math.expm1(max(self.init_std - MIN_STD, 1e-6)))
 
 
 def digest(table: list[dict[str, Any]], tensors: dict[str, Tensor]) -> str:
@@ -285,8 +281,6 @@ class GraphLayer(nn.Module):
             mean_nodes = weights.reshape(-1, N_BLOCKS * c.n_heads, N_BLOCKS) @ nodes
             mean_nodes = mean_nodes.reshape(-1, N_BLOCKS, c.n_heads * c.width)
             mean_edges = (weights @ edges).reshape(-1, N_BLOCKS, c.n_heads * ed)
-        elif c.self_edges:
-            mean_nodes, mean_edges = nodes.mean(1, keepdim=True).expand_as(nodes), edges.mean(2)
         else:
             n_senders = N_BLOCKS - 1
             mean_nodes = (nodes.sum(1, keepdim=True) - nodes) / n_senders
@@ -334,10 +328,7 @@ class PolicyHead(nn.Module):
     def moves(self, nodes: Tensor) -> tuple[Tensor, Tensor]:
         """nodes [B, 16, w] -> locs, scales."""
         c = self.config
-        scales = F.softplus(self.act_scale(nodes) + c.scale_offset()) + c.floor
-        if c.max_std is not None:
-            scales = (torch.tanh(scales / c.max_std) * c.max_std).clamp(min=c.floor)
-        return self.act_loc(nodes), scales
+        return self.act_loc(nodes), F.softplus(self.act_scale(nodes) + c.scale_offset()) + MIN_STD
 
 
 class ValueHead(nn.Module):
@@ -373,9 +364,9 @@ class GraphNetwork(nn.Module):
         self.head = PolicyHead(c)
         self.value = ValueHead(c)
         diagonal = torch.eye(N_BLOCKS, dtype=torch.bool)
-        no_edge = torch.zeros(N_BLOCKS, N_BLOCKS).masked_fill(diagonal & (not c.self_edges), NO_EDGE)
+        no_edge = torch.zeros(N_BLOCKS, N_BLOCKS).masked_fill(diagonal, NO_EDGE)
         self.register_buffer("no_edge", no_edge.reshape(1, N_BLOCKS, 1, N_BLOCKS), persistent=False)
-        self.register_buffer("listed", listed(c.self_edges), persistent=False)
+        self.register_buffer("listed", listed(), persistent=False)
 
     def layers(self) -> list[GraphLayer]:
         return [self.get_submodule(f"layer{n}") for n in range(self.config.n_layers)]
@@ -385,7 +376,7 @@ class GraphNetwork(nn.Module):
         return [layer.fold(self.embed_edge) for layer in self.layers()]
 
     def dense_edges(self, edges: Tensor) -> Tensor:
-        """[B, 240, ed], or [B, 256, ed] with self-edges -> [B, 16 receivers, 16 senders, ed], zeros without an edge."""
+        """[B, 240, ed] -> [B, 16 receivers, 16 senders, ed], zeros where both are the same block."""
         dense = F.pad(edges, (0, 0, 0, 1)).index_select(1, self.listed)
         return dense.reshape(-1, N_BLOCKS, N_BLOCKS, edges.shape[-1])
 
@@ -405,17 +396,15 @@ class GraphNetwork(nn.Module):
         return Output(logits, *self.head.moves(n), values)
 
 
-def listed(self_edges: bool) -> Tensor:
+def listed() -> Tensor:
     """Returns the index of the edge to receiver i from sender j in the edge list, for each i, for each j: [256].
 
-    Without `self_edges`, the list has no self-edges, and they get the index just past its end, where `dense_edges` pads
-    with zeros.
+    The list has no edge from a block to itself, which gets the index just past its end, where `dense_edges` pads with
+    zeros.
     """
     n = N_BLOCKS
 
     def at(sender: int, receiver: int) -> int:
-        if self_edges:
-            return sender * n + receiver
         if sender == receiver:
             return n * (n - 1)
         return sender * (n - 1) + receiver - (receiver > sender)
@@ -581,7 +570,7 @@ class Policy(nn.Module):
         """
         c = self.network.config
         # Any number except 1, which the exporter would treat as a constant.
-        b, n_edges = 2, self.network.listed.unique().numel() - (not c.self_edges)
+        b, n_edges = 2, N_BLOCKS * (N_BLOCKS - 1)
         example = [torch.zeros(b, *shape) for shape in [(N_BLOCKS, c.node), (n_edges, c.edge), (c.global_,)]]
         inputs, outputs, graph = ["nodes", "edges", "globals"], list(Output._fields), self
         if c.mixture:

@@ -48,7 +48,7 @@ fn main() {
         .collect();
     let batches: Vec<Vec<Observation<'_>>> = scenes
         .chunks_exact(N_WORLDS)
-        .map(|scenes| scenes.iter().map(|&(scene, blueprint)| Observation { scene, blueprint, n_steps: 0 }).collect())
+        .map(|scenes| scenes.iter().map(|&(scene, blueprint)| Observation { scene, blueprint }).collect())
         .collect();
     let n_steps = batches.len() * N_WORLDS;
 
@@ -67,7 +67,7 @@ fn main() {
     let distributions: Vec<ActionDistribution<'_>> = locs
         .zip(scales)
         .zip(logits)
-        .map(|((locs, scales), logits)| ActionDistribution::new(logits, locs, scales, policy.joint_form))
+        .map(|((locs, scales), logits)| ActionDistribution::new(logits, locs, scales))
         .collect();
     let sampling = best_of(n_steps, || {
         for _ in &batches {

@@ -14,7 +14,6 @@ use crate::segment::Identity;
 pub(crate) struct Toy {
     script: Vec<Status>,
     n_steps: usize,
-    since_reset: u16,
     scene: Scene,
     blueprint: Blueprint,
     /// Tasks that were started.
@@ -24,7 +23,7 @@ pub(crate) struct Toy {
 impl Toy {
     pub(crate) fn new(script: &[Status]) -> Self {
         let blueprint = Catalog::builtin().get(&id("2_000")).unwrap().clone();
-        Self { script: script.to_vec(), n_steps: 0, since_reset: 0, scene: scene(), blueprint, tasks: Vec::new() }
+        Self { script: script.to_vec(), n_steps: 0, scene: scene(), blueprint, tasks: Vec::new() }
     }
 }
 
@@ -33,14 +32,12 @@ impl Env for Toy {
         let unknown = || ResetError::UnknownBlueprint(task.blueprint.clone());
         self.blueprint = catalog.find(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
         self.tasks.push(task.clone());
-        self.since_reset = 0;
         Ok(())
     }
 
     fn step(&mut self, action: &Action) -> StepResult {
         let at = self.n_steps % self.script.len();
         self.n_steps += 1;
-        self.since_reset += 1;
         // The scene records the action, so that different actions show in later scenes.
         self.scene.blocks[0].position[0] = action.moves[0][0];
         let reward = RewardTerms { connected: (at + 1) as f32, ..RewardTerms::default() };
@@ -53,10 +50,6 @@ impl Env for Toy {
 
     fn blueprint(&self) -> &Blueprint {
         &self.blueprint
-    }
-
-    fn n_steps(&self) -> u16 {
-        self.since_reset
     }
 }
 

@@ -270,7 +270,7 @@ pub struct RunArgs {
     pub auto_resume: bool,
     /// Start from this policy, with a fresh optimizer: a file written by `export`, the folder of a run for its best
     /// policy, or `pretrained` for the shipped policy. The network must be the same, but the settings of its
-    /// standard deviations (policy.network.scale) may differ.
+    /// standard deviations (policy.network.init_std) may differ.
     #[arg(long, value_name = "MODEL", conflicts_with = "resume")]
     pub init_from: Option<PathBuf>,
 }

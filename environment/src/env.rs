@@ -76,11 +76,8 @@ pub trait Env {
     /// Returns the goal, with its blocks permuted by the task's assignment.
     fn blueprint(&self) -> &Blueprint;
 
-    /// Returns the number of steps since the last reset.
-    fn n_steps(&self) -> u16;
-
     /// Returns what an agent observes.
     fn observation(&self) -> Observation<'_> {
-        Observation { scene: self.scene(), blueprint: self.blueprint(), n_steps: self.n_steps() }
+        Observation { scene: self.scene(), blueprint: self.blueprint() }
     }
 }

@@ -229,10 +229,6 @@ impl Env for World {
     fn blueprint(&self) -> &Blueprint {
         &self.blueprint
     }
-
-    fn n_steps(&self) -> u16 {
-        self.n_steps
-    }
 }
 
 /// Returns the force above which a contact is heavy, N.

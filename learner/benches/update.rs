@@ -1,6 +1,6 @@
 //! Measures the time of a PPO update with the paper's network, in milliseconds per sample and epoch.
 //!
-//! `cargo bench -p learner -- [SAMPLES [THREADS [FORWARD_SIZE]]]`; the default is 1024 samples on one thread.
+//! `cargo bench -p learner -- [SAMPLES [THREADS]]`; the default is 1024 samples on one thread.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
@@ -20,12 +20,10 @@ const SEGMENT: usize = 32;
 fn main() {
     let mut numbers = std::env::args().filter_map(|argument| argument.parse::<usize>().ok());
     let (n_samples, n_threads) = (numbers.next().unwrap_or(1024), numbers.next().unwrap_or(1));
-    let forward_size = numbers.next().unwrap_or(LearnerConfig::default().forward_size);
     let id = BlueprintId::try_from("2_000".to_owned()).unwrap();
     let config = LearnerConfig {
         steps_per_update: n_samples,
         minibatch_size: 256,
-        forward_size,
         n_threads: Some(n_threads),
         ..LearnerConfig::default()
     };

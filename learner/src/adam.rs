@@ -5,7 +5,17 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::config::{AdaptiveRate, OptimizerConfig};
+use crate::config::AdaptiveRate;
+
+/// Adam's ε, outside the square root.
+pub const EPSILON: f32 = 1e-5;
+/// Adam's β₁.
+pub const BETA1: f64 = 0.9;
+/// Adam's β₂.
+pub const BETA2: f64 = 0.999;
+
+/// Factor by which the adaptive rate grows or shrinks.
+const RATE_FACTOR: f32 = 1.5;
 
 /// Adam's state (Kingma & Ba, "Adam: a method for stochastic optimization", algorithm 1).
 #[derive(Clone, Debug, PartialEq)]
@@ -36,21 +46,21 @@ impl Adam {
     ///
     /// # Panics
     /// If the lengths differ.
-    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: LearningRate, config: &OptimizerConfig) {
+    pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], rate: LearningRate) {
         assert!(parameters.len() == self.first.len() && gradient.len() == self.first.len(), "one entry per parameter");
         self.n_steps += 1;
         // Compute 1 − β in f64: in f32 its relative error is 1e-5 for β₂.
-        let (b1, b2) = (config.beta1 as f32, config.beta2 as f32);
-        let (c1, c2) = ((1.0 - config.beta1) as f32, (1.0 - config.beta2) as f32);
+        let (b1, b2) = (BETA1 as f32, BETA2 as f32);
+        let (c1, c2) = ((1.0 - BETA1) as f32, (1.0 - BETA2) as f32);
         let exponent = self.n_steps as f64;
-        let correction1 = (1.0 - config.beta1.powf(exponent)) as f32;
-        let correction2 = (1.0 - config.beta2.powf(exponent)).sqrt() as f32;
+        let correction1 = (1.0 - BETA1.powf(exponent)) as f32;
+        let correction2 = (1.0 - BETA2.powf(exponent)).sqrt() as f32;
         let size = rate.0 / correction1;
         let moments = self.first.iter_mut().zip(&mut self.second);
         for ((w, &g), (m, v)) in parameters.iter_mut().zip(gradient).zip(moments) {
             *m = b1 * *m + c1 * g;
             *v = b2 * *v + c2 * g * g;
-            *w -= size * *m / (v.sqrt() / correction2 + config.epsilon);
+            *w -= size * *m / (v.sqrt() / correction2 + EPSILON);
         }
     }
 }
@@ -59,9 +69,9 @@ impl LearningRate {
     /// Returns the rate for the next update, after one that moved the policy by `kl` nats.
     pub fn adapted(self, kl: f32, rule: &AdaptiveRate) -> Self {
         if kl > rule.high_kl {
-            Self((self.0 / rule.factor).max(rule.min))
+            Self((self.0 / RATE_FACTOR).max(rule.min))
         } else if kl < rule.low_kl {
-            Self((self.0 * rule.factor).min(rule.max))
+            Self((self.0 * RATE_FACTOR).min(rule.max))
         } else {
             self
         }
@@ -91,7 +101,7 @@ mod tests {
         // m̂ = g and v̂ = g², so the step is lr · sign(g) up to ε.
         let mut adam = Adam::new(2);
         let mut w = [1.0, 1.0];
-        adam.step(&mut w, &[0.5, -2.0], LearningRate(0.1), &OptimizerConfig::default());
+        adam.step(&mut w, &[0.5, -2.0], LearningRate(0.1));
         assert!((w[0] - 0.9).abs() < 1e-5 && (w[1] - 1.1).abs() < 1e-5, "{w:?}");
     }
 

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
 use policy::proposals::{N_SLOTS, Slot};
-use policy::{MoveHead, NetworkConfig};
+use policy::{MoveHead, PolicyConfig};
 use proto::{
     Action, BehaviorPolicy, CanonicalSettings, N_GRIPPERS, RewardTerms, Scene, Start, Status, Trajectory, Transition,
 };
@@ -73,7 +73,7 @@ impl Admission {
         catalog: &Catalog,
         tasks: &[BlueprintId],
         generated: Option<Draws>,
-        network: &NetworkConfig,
+        policy: &PolicyConfig,
         settings: &CanonicalSettings,
         acting: ActingLimits,
     ) -> Self {
@@ -83,8 +83,8 @@ impl Admission {
         Self {
             settings_hash: settings.hash(),
             acting,
-            n_grippers: network.n_grippers.into(),
-            move_head: network.move_head,
+            n_grippers: policy.features.n_grippers.into(),
+            move_head: policy.network.move_head,
             training: split.chain(tasks).collect(),
             generated,
         }

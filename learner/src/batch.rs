@@ -8,7 +8,6 @@ use policy::proposals::Slot;
 use policy::{FeatureBatch, MoveHead, PolicyConfig};
 use proto::{Action, BehaviorPolicy, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
 
-use crate::config::RewardFactors;
 use crate::draws::{self, Draws};
 use crate::gae;
 use crate::mailbox::policy_lag;
@@ -34,10 +33,6 @@ pub struct Batch {
     pub rewards: Vec<f32>,
     /// Ranges of samples, each from one episode.
     pub segments: Vec<Segment>,
-    /// Whether advantages are divided by the number of connections in the goal.
-    advantages_per_link: bool,
-    /// Whether returns end at the time limit.
-    deadline: bool,
 }
 
 /// Consecutive samples of one episode.
@@ -49,8 +44,6 @@ pub struct Segment {
     pub status: Status,
     /// Number of versions between the acting and the newest weights.
     pub policy_lag: u64,
-    /// Number of connections in the goal, at least 1.
-    pub n_links: usize,
     /// [Fingerprint](Trajectory::fingerprint) of the trajectory.
     pub fingerprint: u64,
 }
@@ -63,7 +56,6 @@ impl Batch {
         version: WeightsVersion,
         catalog: &Catalog,
         policy: &PolicyConfig,
-        factors: &RewardFactors,
     ) -> Self {
         let mut batch = Self {
             features: FeatureBatch::of_policy(policy),
@@ -73,8 +65,6 @@ impl Batch {
             behavior_log_probs: Vec::new(),
             rewards: Vec::new(),
             segments: Vec::new(),
-            advantages_per_link: factors.advantages_per_link,
-            deadline: factors.deadline,
         };
         let mut last_scenes = Vec::new();
         for trajectory in trajectories {
@@ -82,12 +72,10 @@ impl Batch {
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let (policy_lag, fingerprint) = (policy_lag(version, &trajectory), trajectory.fingerprint());
             let first = batch.actions.len();
-            let mut n_steps = trajectory.first_step;
             let is_drawn = trajectory.behavior_policy == BehaviorPolicy::Sampled;
             let mut is_offered = true;
             for (t, transition) in trajectory.transitions.iter().enumerate() {
-                batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint, n_steps });
-                n_steps = n_steps.saturating_add(1);
+                batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint });
                 let after = trajectory.transitions.get(t + 1).map_or(&trajectory.last_scene, |next| &next.scene);
                 if is_drawn && !batch.push_draws(transition, after, &blueprint) {
                     is_offered = false;
@@ -95,26 +83,19 @@ impl Batch {
                 }
                 batch.actions.push(transition.action.clone());
                 batch.behavior_log_probs.push(transition.behavior_log_prob);
-                let reward = transition.reward;
-                batch.rewards.push(reward.total() + (factors.wrong_weight - 1.0) * reward.wrong);
+                batch.rewards.push(transition.reward.total());
             }
             if !is_offered {
                 batch.truncate(first);
                 batch.refused.push(fingerprint);
                 continue;
             }
-            if trajectory.status == Status::Success
-                && let Some(last) = batch.rewards.last_mut()
-            {
-                *last += factors.success_bonus;
-            }
             let samples = first..batch.actions.len();
-            let n_links = blueprint.links().len().max(1);
-            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, n_links, fingerprint });
-            last_scenes.push((trajectory.last_scene, blueprint, n_steps));
+            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, fingerprint });
+            last_scenes.push((trajectory.last_scene, blueprint));
         }
-        for (scene, blueprint, n_steps) in &last_scenes {
-            batch.features.push(&Observation { scene, blueprint, n_steps: *n_steps });
+        for (scene, blueprint) in &last_scenes {
+            batch.features.push(&Observation { scene, blueprint });
         }
         batch
     }
@@ -180,30 +161,17 @@ impl Batch {
         self.actions.len()
     }
 
-    /// Computes the advantages of all samples from the `values` of all rows, both in reward units.
-    pub fn advantages(&self, values: &[f32], gamma: f32, lambda: f32) -> Vec<f32> {
+    /// Computes the advantages of all samples from the `values` of all rows, both in reward units. With `deadline`,
+    /// returns end at the time limit.
+    pub fn advantages(&self, values: &[f32], gamma: f32, lambda: f32, deadline: bool) -> Vec<f32> {
         let n_samples = self.n_samples();
         let mut advantages = vec![0.0; n_samples];
         for (segment, &last_value) in self.segments.iter().zip(&values[n_samples..]) {
             let samples = segment.samples.clone();
-            let bootstrap = gae::bootstrap_value(segment.status, last_value, self.deadline);
+            let bootstrap = gae::bootstrap_value(segment.status, last_value, deadline);
             let (rewards, values) = (&self.rewards[samples.clone()], &values[samples.clone()]);
             gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[samples]);
         }
-        advantages
-    }
-
-    /// Scales advantages for the policy loss: divides by the number of connections in the goal if configured, then
-    /// normalizes.
-    pub fn scaled(&self, mut advantages: Vec<f32>) -> Vec<f32> {
-        if self.advantages_per_link {
-            for segment in &self.segments {
-                advantages[segment.samples.clone()]
-                    .iter_mut()
-                    .for_each(|advantage| *advantage /= segment.n_links as f32);
-            }
-        }
-        gae::normalize(&mut advantages);
         advantages
     }
 
@@ -227,50 +195,24 @@ mod tests {
     use super::*;
     use crate::fixtures::trajectory;
 
-    fn batch_of(trajectories: Vec<Trajectory>, factors: &RewardFactors) -> Batch {
-        Batch::new(trajectories, WeightsVersion(5), Catalog::builtin(), &PolicyConfig::default(), factors)
-    }
-
-    #[test]
-    fn success_is_worth_more_and_wrong_connections_cost_less_where_that_is_set() {
-        let mut ended = trajectory(2, 5);
-        ended.status = Status::Success;
-        (ended.transitions[0].reward.wrong, ended.transitions[1].reward.connected) = (-1.0, 1.0);
-        let factors =
-            RewardFactors { success_bonus: 3.0, wrong_weight: 0.25, advantages_per_link: false, deadline: false };
-        let plain = batch_of(vec![ended.clone()], &RewardFactors::default()).rewards;
-        assert_eq!(plain, [-1.0, 1.0]);
-        assert_eq!(batch_of(vec![ended], &factors).rewards, [-0.25, 4.0]);
-    }
-
-    #[test]
-    fn advantages_per_link_are_divided_before_they_are_normalized() {
-        let factors = RewardFactors { advantages_per_link: true, ..RewardFactors::default() };
-        let mut large = trajectory(1, 5);
-        large.task.blueprint = "3_000".parse().unwrap();
-        let batch = batch_of(vec![trajectory(1, 5), large], &factors);
-        assert_eq!(batch.segments[0].n_links, 1);
-        let n_links = batch.segments[1].n_links as f32;
-        assert!(n_links >= 2.0);
-        // Equal after the division, so 0 after the normalization.
-        assert_eq!(batch.scaled(vec![1.0, n_links]), [0.0, 0.0]);
+    fn batch_of(trajectories: Vec<Trajectory>) -> Batch {
+        Batch::new(trajectories, WeightsVersion(5), Catalog::builtin(), &PolicyConfig::default())
     }
 
     #[test]
     fn a_deadline_ends_the_return() {
         let mut late = trajectory(2, 5);
         late.status = Status::TimeLimit;
-        let batch = |deadline| batch_of(vec![late.clone()], &RewardFactors { deadline, ..RewardFactors::default() });
         // No rewards, γ = λ = 1, and a last scene with value 4.
-        assert_eq!(batch(false).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [4.0, 4.0]);
-        assert_eq!(batch(true).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0), [0.0, 0.0]);
+        let advantages = |deadline| batch_of(vec![late.clone()]).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0, deadline);
+        assert_eq!(advantages(false), [4.0, 4.0]);
+        assert_eq!(advantages(true), [0.0, 0.0]);
     }
 
     #[test]
     fn a_segment_with_a_number_that_is_not_finite_is_removed_whole() {
         let segments = [trajectory(2, 3), trajectory(3, 4), trajectory(1, 5)];
-        let of =
-            |kept: &[usize]| batch_of(kept.iter().map(|&at| segments[at].clone()).collect(), &RewardFactors::default());
+        let of = |kept: &[usize]| batch_of(kept.iter().map(|&at| segments[at].clone()).collect());
         // Rows are the six samples, and then the three last scenes.
         for (row, is_value, removed) in [(0, false, 0), (4, false, 1), (4, true, 1), (5, true, 2), (7, true, 1)] {
             let (mut values, mut log_probs) = (vec![0.5; 9], vec![-1.0; 6]);
@@ -294,11 +236,11 @@ mod tests {
         let mut ended = trajectory(2, 3);
         ended.status = Status::Success;
         ended.transitions[1].reward.connected = 1.0;
-        let batch = batch_of(vec![ended, trajectory(3, 5)], &RewardFactors::default());
+        let batch = batch_of(vec![ended, trajectory(3, 5)]);
         assert_eq!((batch.n_samples(), batch.features.n), (5, 7));
         assert_eq!(batch.lag_histogram(), [3, 0, 2]);
         // γ = λ = 1; all values are 0 except those of the last scenes, 7 (ignored: success) and 4.
         let values = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, 4.0];
-        assert_eq!(batch.advantages(&values, 1.0, 1.0), [1.0, 1.0, 4.0, 4.0, 4.0]);
+        assert_eq!(batch.advantages(&values, 1.0, 1.0, false), [1.0, 1.0, 4.0, 4.0, 4.0]);
     }
 }

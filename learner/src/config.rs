@@ -2,16 +2,14 @@
 
 mod curriculum;
 mod loss;
-mod reward;
 mod schedule;
 
-use proto::setting::{InvalidSetting, Section, Setting, above, above_to, key};
+use proto::setting::{InvalidSetting, Section, Setting, above, key};
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
 pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, ReverseConfig, UniformConfig, WideningConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
-pub use reward::{RewardFactors, RewardsConfig};
 pub use schedule::Schedule;
 
 settings! {
@@ -23,10 +21,6 @@ settings! {
         /// share of the remainder.
         pub minibatch_size: usize = 1024,
             where |c| (1..=c.steps_per_update).contains(&c.minibatch_size) => "1..=steps_per_update";
-        /// Samples per pass through the network, which bounds its memory: on a CPU, a pass with gradients keeps about
-        /// 230 kB per sample. A minibatch is split into equal pieces of about this size, the threads share the pieces,
-        /// and their gradients are summed.
-        pub forward_size: usize = 128, in 1..=65536;
         /// Threads that pass pieces through the network; `None` means one per core on a CPU, or one in total with a
         /// GPU. Results do not depend on the number of threads.
         pub n_threads: Option<usize> = None, in 1..=256;
@@ -36,8 +30,8 @@ settings! {
         pub gamma: f32 = 0.99, in 0.0..=1.0;
         /// GAE's λ.
         pub lambda: f32 = 0.95, in 0.0..=1.0;
-        /// Changes to the rewards before learning.
-        pub rewards: RewardsConfig;
+        /// Treats the time limit as a deadline: the return ends there, without the critic's value of the last scene.
+        pub deadline: bool = false;
         /// PPO loss.
         pub loss: LossConfig;
         /// Adam and its learning rate.
@@ -58,22 +52,10 @@ settings! {
     pub struct OptimizerConfig {
         /// Initial learning rate.
         pub learning_rate: f32 = 3e-4, in above(0.0);
-        /// Learning rate of the value head, which can learn faster than the policy, because the policy must not change
-        /// much in one update; `None` uses the rate of the other parameters.
-        pub critic_rate: Option<f32> = None, in above(0.0);
         /// How the learning rate changes.
         pub rate_rule: RateRule;
-        /// Adam's ε, outside the square root.
-        pub epsilon: f32 = 1e-5, in above(0.0);
-        /// Adam's β₁.
-        pub beta1: f64 = 0.9, in 0.0..1.0;
-        /// Adam's β₂.
-        pub beta2: f64 = 0.999, in 0.0..1.0;
         /// Gradients with a larger global norm are scaled down to this norm.
         pub max_grad_norm: f32 = 0.5, in above(0.0);
-        /// Ends an update after the first epoch whose approximate KL divergence exceeds this; `None` disables the
-        /// limit.
-        pub stop_kl: Option<f32> = None, in above(0.0);
     }
 
     /// How the learning rate changes from update to update.
@@ -95,8 +77,6 @@ settings! {
         pub low_kl: f32 = 0.005, in above(0.0);
         /// The rate shrinks after an update with a KL divergence above this.
         pub high_kl: f32 = 0.02, where |c| c.high_kl > c.low_kl => "above low_kl";
-        /// Factor by which the rate grows or shrinks.
-        pub factor: f32 = 1.5, in above(1.0);
         /// Lowest rate.
         pub min: f32 = 1e-5, in above(0.0);
         /// Highest rate.
@@ -107,14 +87,8 @@ settings! {
     pub struct NormalizationConfig {
         /// Normalizes features by their running mean and standard deviation.
         pub features: bool = true;
-        /// Number of scenes after which the feature statistics are frozen.
-        pub feature_samples: u64 = 500_000;
         /// Trains the value head on normalized targets.
         pub values: bool = true;
-        /// Weight of a new batch in the running statistics of the value targets.
-        pub value_rate: f64 = 0.1, in above_to(0.0, 1.0);
-        /// Minimum standard deviation of the value targets, reward units.
-        pub min_value_std: f32 = 0.01, in above(0.0);
     }
 
     /// Settings of the trajectory mailbox.
@@ -131,8 +105,6 @@ settings! {
         pub every_updates: u64 = 50, in 1..;
         /// Number of newest checkpoints to keep on disk.
         pub keep: usize = 3, in 1..;
-        /// Seconds between attempts while nothing can be saved, for example on a full disk. Training waits so long.
-        pub retry_s: f64 = 30.0, in 0.001..=3600.0;
     }
 }
 
@@ -174,13 +146,12 @@ mod tests {
     #[test]
     fn a_value_out_of_range_is_named() {
         type Spoil = fn(&mut LearnerConfig);
-        let cases: [(Spoil, &str); 9] = [
+        let cases: [(Spoil, &str); 8] = [
             (|c| c.gamma = 1.5, "learner.gamma = 1.5: expected 0..=1"),
             (|c| c.lambda = f32::NAN, "learner.lambda = NaN: expected 0..=1"),
             (|c| c.n_epochs = 0, "learner.n_epochs = 0: expected 1..=32"),
             (|c| c.minibatch_size = 9000, "learner.minibatch_size = 9000: expected 1..=steps_per_update"),
             (|c| c.loss.clip = 0.0, "learner.loss.clip = 0: expected above 0 and at most 1"),
-            (|c| c.optimizer.beta1 = 1.0, "learner.optimizer.beta1 = 1: expected at least 0 and below 1"),
             (
                 |c| c.mailbox.capacity_steps = 1,
                 "learner.mailbox.capacity_steps = 1: expected at least steps_per_update",

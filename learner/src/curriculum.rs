@@ -10,6 +10,18 @@ use serde::{Deserialize, Serialize};
 use crate::config::{CurriculumConfig, WideningConfig};
 use crate::numbers::share;
 
+/// Finished episodes between updates of the probabilities. With the paper's rule, it sets the strength of the decay.
+const EPISODES_PER_BATCH: usize = 64;
+
+/// Weight of one episode in a blueprint's success rate, with the paper's rule and the widening one.
+const TAU: f64 = 0.2;
+
+/// The same with the other rules.
+const SLOW_TAU: f64 = 0.05;
+
+/// The paper's rule: factor applied to all success rates once per batch, so that no blueprint is forgotten.
+const PAPER_DECAY: f64 = 0.99;
+
 /// Success rates and probabilities of the training blueprints.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Curriculum {
@@ -81,7 +93,8 @@ impl Curriculum {
         if self.tasks.contains_key(blueprint) {
             self.waiting.push((blueprint.clone(), success));
         }
-        if self.waiting.len() >= self.config.episodes_per_batch() {
+        let n_enough = if matches!(self.config, CurriculumConfig::Uniform(_)) { 1 } else { EPISODES_PER_BATCH };
+        if self.waiting.len() >= n_enough {
             let batch = std::mem::take(&mut self.waiting);
             self.update(batch.iter().map(|(id, success)| (id, *success)));
         }
@@ -90,10 +103,8 @@ impl Curriculum {
     /// Updates the probabilities with a batch of finished episodes, in order.
     pub fn update<'a>(&mut self, batch: impl IntoIterator<Item = (&'a BlueprintId, bool)>) {
         let tau = match &self.config {
-            CurriculumConfig::Uniform(_) => 0.05,
-            CurriculumConfig::Paper(paper) => paper.tau,
-            CurriculumConfig::Learnability(learnability) => learnability.tau,
-            CurriculumConfig::Widening(widening) => widening.tau,
+            CurriculumConfig::Uniform(_) | CurriculumConfig::Learnability(_) => SLOW_TAU,
+            CurriculumConfig::Paper(_) | CurriculumConfig::Widening(_) => TAU,
         };
         for (id, success) in batch {
             if let Some(task) = self.tasks.get_mut(id) {
@@ -105,7 +116,7 @@ impl Curriculum {
             // A saved run may have had another curriculum.
             CurriculumConfig::Uniform(_) => set_probabilities(&mut self.tasks, |_| 1.0),
             CurriculumConfig::Paper(paper) => {
-                self.tasks.values_mut().for_each(|task| task.success_rate *= paper.decay);
+                self.tasks.values_mut().for_each(|task| task.success_rate *= PAPER_DECAY);
                 // The largest exponent is 0, so the sum is at least 1 however small the temperature is.
                 let lowest = self.tasks.values().map(|task| task.success_rate).fold(1.0, f64::min);
                 set_probabilities(&mut self.tasks, |rate| ((lowest - rate) / paper.temperature).exp());
@@ -183,13 +194,12 @@ mod tests {
     #[test]
     fn learnability_prefers_medium_success_rates() {
         let ids = ids(3);
-        let config = LearnabilityConfig { tau: 0.5, uniform: 0.3, episodes_per_batch: 2 };
+        let config = LearnabilityConfig { uniform: 0.3 };
         let mut curriculum = Curriculum::new(CurriculumConfig::Learnability(config), of_two(&ids));
         curriculum.update([]);
         assert_eq!(probabilities(&curriculum), [1.0 / 3.0; 3]);
-        // Rates 0.5, 0, and 0: only the first blueprint is learnable, so it gets 0.1 + 0.7.
-        curriculum.record(&ids[0], true);
-        curriculum.record(&ids[1], false);
+        // Rates 0.05, 0, and 0: only the first blueprint is learnable, so it gets 0.1 + 0.7.
+        curriculum.update([(&ids[0], true), (&ids[1], false)]);
         for (p, expected) in probabilities(&curriculum).iter().zip([0.8, 0.1, 0.1]) {
             assert!((p - expected).abs() < 1e-12);
         }
@@ -199,33 +209,30 @@ mod tests {
     fn sizes_widen_with_success_and_share_equally() {
         let ids: Vec<BlueprintId> =
             ["2_000", "2_001", "3_000", "5_000"].map(|id| id.to_owned().try_into().unwrap()).into();
-        let config = WideningConfig { tau: 0.5, first_size: 2, gate: 0.6, failures: 0.0, episodes_per_batch: 2 };
+        let config = WideningConfig { first_size: 2, gate: 0.6, failures: 0.0 };
         let sizes = [2, 2, 3, 5];
         let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), ids.iter().cloned().zip(sizes));
         assert_eq!(probabilities(&curriculum), [0.5, 0.5, 0.0, 0.0]);
-        let mut both = |success: [bool; 2]| {
-            ids[..2].iter().zip(success).for_each(|(id, success)| curriculum.record(id, success));
+        let mut both = |n: usize, success: bool| {
+            curriculum.update(ids[..2].iter().flat_map(|id| std::iter::repeat_n((id, success), n)));
             probabilities(&curriculum)
         };
-        // Rates of 0.5 and 0.5, then 0.75 and 0.25, then 0.875 and 0.625, with a mean of 0.75.
-        assert_eq!(both([true, true]), [0.5, 0.5, 0.0, 0.0]);
-        assert_eq!(both([true, false]), [0.5, 0.5, 0.0, 0.0]);
-        assert_eq!(both([true, true]), [0.25, 0.25, 0.5, 0.0]);
-        // Lower rates narrow the range again: 0.4375 and 0.3125.
-        assert_eq!(both([false, false]), [0.5, 0.5, 0.0, 0.0]);
+        // Rates of 1 − 0.8⁴ = 0.59 and then of 1 − 0.8⁵ = 0.67.
+        assert_eq!(both(4, true), [0.5, 0.5, 0.0, 0.0]);
+        assert_eq!(both(1, true), [0.25, 0.25, 0.5, 0.0]);
+        // Lower rates narrow the range again: 0.54.
+        assert_eq!(both(1, false), [0.5, 0.5, 0.0, 0.0]);
     }
 
     #[test]
     fn what_fails_may_be_drawn_more_often() {
         let ids = ids(3);
-        let config = WideningConfig { tau: 0.5, failures: 0.6, episodes_per_batch: 3, ..WideningConfig::default() };
+        let config = WideningConfig { failures: 0.6, ..WideningConfig::default() };
         let mut curriculum = Curriculum::new(CurriculumConfig::Widening(config), of_two(&ids));
-        for (id, success) in ids.iter().zip([true, false, false]) {
-            curriculum.record(id, success);
-        }
-        // Rates 0.5, 0, and 0 are 0.2, 0.4, and 0.4 of the failures, which determine 0.6 of the draws; the other 0.4 is
+        curriculum.update(ids.iter().zip([true, false, false]));
+        // Rates 0.2, 0, and 0 are 4, 5, and 5 of 14 failures, which determine 0.6 of the draws; the other 0.4 is
         // uniform.
-        for (p, expected) in probabilities(&curriculum).iter().zip([0.2, 0.4, 0.4]) {
+        for (p, expected) in probabilities(&curriculum).iter().zip([4.0 / 14.0, 5.0 / 14.0, 5.0 / 14.0]) {
             assert!((p - (0.4 / 3.0 + 0.6 * expected)).abs() < 1e-12);
         }
     }
@@ -233,12 +240,12 @@ mod tests {
     #[test]
     fn a_small_temperature_gives_all_to_the_lowest_rate() {
         let ids = ids(2);
-        let config = PaperConfig { tau: 1.0, temperature: 1e-6, episodes_per_batch: 2, ..PaperConfig::default() };
+        let config = PaperConfig { temperature: 1e-6 };
         let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), of_two(&ids));
-        curriculum.update([(&ids[0], true), (&ids[1], false)]);
-        assert_eq!(probabilities(&curriculum), [0.0, 1.0]);
         curriculum.update([(&ids[0], true), (&ids[1], true)]);
         assert_eq!(probabilities(&curriculum), [0.5, 0.5]);
+        curriculum.update([(&ids[0], true), (&ids[1], false)]);
+        assert_eq!(probabilities(&curriculum), [0.0, 1.0]);
     }
 
     #[test]
@@ -257,10 +264,10 @@ mod tests {
     #[test]
     fn only_full_batches_of_known_blueprints_count() {
         let ids = ids(2);
-        let config = PaperConfig { episodes_per_batch: 2, ..PaperConfig::default() };
-        let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), of_two(&ids));
+        let mut curriculum = Curriculum::new(CurriculumConfig::Paper(PaperConfig::default()), of_two(&ids));
         let before = curriculum.tasks().clone();
         curriculum.record(&ids[0], true);
+        (2..EPISODES_PER_BATCH).for_each(|_| curriculum.record(&ids[1], false));
         curriculum.record(&BlueprintId::try_from("9_999".to_owned()).unwrap(), true);
         assert_eq!(curriculum.tasks(), &before);
         curriculum.record(&ids[1], false);
@@ -273,7 +280,7 @@ mod tests {
     fn every_kind_deserializes() {
         for (text, expected) in [
             (r#"{"kind":"uniform"}"#, CurriculumConfig::Uniform(UniformConfig {})),
-            (r#"{"kind":"paper","tau":0.1}"#, CurriculumConfig::Paper(PaperConfig { tau: 0.1, ..Default::default() })),
+            (r#"{"kind":"paper","temperature":0.1}"#, CurriculumConfig::Paper(PaperConfig { temperature: 0.1 })),
             (r#"{"kind":"learnability"}"#, CurriculumConfig::Learnability(LearnabilityConfig::default())),
         ] {
             assert_eq!(serde_json::from_str::<CurriculumConfig>(text).unwrap(), expected);

@@ -33,6 +33,9 @@ use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
 use crate::trial::Trial;
 
+/// Number of scenes after which the feature statistics are frozen.
+const N_FEATURE_SCENES: u64 = 500_000;
+
 /// The inputs of a learner.
 #[derive(Clone, Debug)]
 pub struct LearnerSetup {
@@ -114,7 +117,7 @@ impl LearnerSetup {
     /// Returns what a learner with this setup admits.
     pub(crate) fn admission(&self) -> Admission {
         let Self { catalog, tasks, generated, policy, settings, acting, .. } = self;
-        Admission::new(catalog, tasks, generated.clone(), &policy.network, settings, *acting)
+        Admission::new(catalog, tasks, generated.clone(), policy, settings, *acting)
     }
 }
 
@@ -178,7 +181,7 @@ impl Learner {
     /// Copies the parameters and statistics of a policy.
     fn start_from(&mut self, model: &Model) -> Result<(), LearnerError> {
         let mut theirs = model.policy.clone();
-        theirs.network.scale = self.setup.policy.network.scale;
+        theirs.network.init_std = self.setup.policy.network.init_std;
         if let Some(difference) = self.setup.policy.network_difference(&theirs) {
             return Err(LearnerError::Init(difference.between("there", "in this run")));
         }
@@ -277,10 +280,8 @@ impl Learner {
         let n_steps: usize = trajectories.iter().map(n_env_steps).sum();
         self.record(&trajectories);
         let mut trial = Trial::new(&trajectories, &self.setup.catalog);
-        let factors = self.setup.config.rewards.at(self.state.n_env_steps);
-        let batch = |trajectories| {
-            Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy, &factors)
-        };
+        let batch =
+            |trajectories| Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy);
         let (sampled, others): (Vec<_>, Vec<_>) =
             trajectories.into_iter().partition(|trajectory| trajectory.behavior_policy == BehaviorPolicy::Sampled);
         let own = batch(sampled);
@@ -440,7 +441,7 @@ impl Learner {
     /// Returns whether the feature statistics are still updated.
     fn features_move(&self) -> bool {
         let config = &self.setup.config.normalization;
-        config.features && self.state.n_feature_scenes < config.feature_samples
+        config.features && self.state.n_feature_scenes < N_FEATURE_SCENES
     }
 
     /// Returns the feature statistics updated with batches of raw features, and the number of scenes in the batches.

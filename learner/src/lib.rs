@@ -40,4 +40,4 @@ pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
 pub use model::Model;
 pub use policy::device::{DeviceError, DeviceKind};
-pub use run::{Diverged, Feed, RunOptions, Summary, check, run};
+pub use run::{Diverged, Feed, RunOptions, SAVE_RETRY, Summary, check, run};

@@ -2,6 +2,9 @@
 
 use burn::tensor::Tensor;
 
+/// Maximum importance weight of a sample with the decoupled objective.
+const MAX_BEHAVIOR_WEIGHT: f32 = 2.0;
+
 /// Returns the negative clipped surrogate of each sample, `−w · min(r A, clip(r, 1 ± ε) A)` with
 /// `r = exp(log_prob − reference)` (Schulman et al., "Proximal policy optimization algorithms", eq. 7). The weights `w`
 /// are the importance weights of the decoupled objective; otherwise they are 1.
@@ -20,21 +23,12 @@ pub fn policy_loss(
     -((ratio * advantage).min_pair(clipped) * weight)
 }
 
-/// Returns half the squared error of each value. With `clip`, returns the maximum of that and the loss of the value
-/// clipped to `old ± clip`.
+/// Returns half the squared error of each value.
 ///
 /// # Shapes
 /// All `[B]`, including the result.
-pub fn value_loss(value: Tensor<1>, old: Tensor<1>, target: Tensor<1>, clip: Option<f32>) -> Tensor<1> {
-    let error = (value.clone() - target.clone()).square();
-    let error = match clip {
-        None => error,
-        Some(clip) => {
-            let clipped = old.clone() + (value - old).clamp(-clip, clip);
-            error.max_pair((clipped - target).square())
-        }
-    };
-    error * 0.5
+pub fn value_loss(value: Tensor<1>, target: Tensor<1>) -> Tensor<1> {
+    (value - target).square() * 0.5
 }
 
 /// Statistics of a policy's distance from its reference; means over samples.
@@ -62,12 +56,12 @@ impl RatioStatistics {
     }
 }
 
-/// Returns the importance weights `π_now / π_acted` of the samples, at most `max`.
+/// Returns the importance weights `π_now / π_acted` of the samples, at most 2.
 ///
 /// # Shapes
 /// One entry per sample.
-pub fn behavior_weights(now: &[f32], acted: &[f32], max: f32) -> Vec<f32> {
-    now.iter().zip(acted).map(|(now, acted)| (now - acted).exp().min(max)).collect()
+pub fn behavior_weights(now: &[f32], acted: &[f32]) -> Vec<f32> {
+    now.iter().zip(acted).map(|(now, acted)| (now - acted).exp().min(MAX_BEHAVIOR_WEIGHT)).collect()
 }
 
 /// Returns `(Σw)² / (n Σw²)` of importance weights, the effective fraction of the samples; 1 if all weights are equal.
@@ -100,7 +94,7 @@ mod tests {
         assert!((effective_sample_size(&[-1.0, -2.0], &[-1.0, -2.0]) - 1.0).abs() < 1e-12);
         // Weights 1 and 3: 16 / (2 · 10) = 0.8.
         assert!((effective_sample_size(&[0.0, 3.0f32.ln()], &[0.0, 0.0]) - 0.8).abs() < 1e-6);
-        assert_eq!(behavior_weights(&[0.0, 3.0f32.ln()], &[0.0, 0.0], 2.0), [1.0, 2.0]);
+        assert_eq!(behavior_weights(&[0.0, 3.0f32.ln()], &[0.0, 0.0]), [1.0, 2.0]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Running statistics of the value targets. [`policy::normalization`] has the feature statistics.
 //!
 //! Feature statistics change only *after* an update, so a batch is trained on with the statistics that were in effect
-//! when its newest steps were taken. They freeze after a configured number of scenes. Value statistics change *before*
+//! when its newest steps were taken. They freeze after half a million scenes. Value statistics change *before*
 //! the gradient steps, and the value head is rescaled to keep its output in reward units unchanged (PopArt: van Hasselt
 //! et al., "Learning values across many orders of magnitude", proposition 1).
 
@@ -9,6 +9,11 @@ use proto::InvalidSetting;
 use serde::{Deserialize, Serialize};
 
 use crate::numbers::{finite, not_negative, positive};
+
+/// Weight of a new batch in the running statistics of the value targets.
+const VALUE_RATE: f64 = 0.1;
+/// Minimum standard deviation of the value targets, reward units.
+const MIN_VALUE_STD: f32 = 0.01;
 
 /// Running mean and standard deviation of the value targets, in reward units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -45,19 +50,18 @@ impl ValueStatistics {
         not_negative(&format!("{path}.mean_square"), self.mean_square)
     }
 
-    /// Returns the statistics after a batch of targets, which has weight `rate`, or more while few batches have been
-    /// seen.
-    pub fn after(&self, targets: &[f32], rate: f64, floor: f32) -> Self {
+    /// Returns the statistics after a batch of targets, which has weight 0.1, or more while few batches have been seen.
+    pub fn after(&self, targets: &[f32]) -> Self {
         if targets.is_empty() {
             return *self;
         }
         let n = targets.len() as f64;
         let batch_mean = targets.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
         let batch_square = targets.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / n;
-        let rate = rate.max(1.0 / (self.n_batches + 1) as f64);
+        let rate = VALUE_RATE.max(1.0 / (self.n_batches + 1) as f64);
         let mean = self.mean + rate * (batch_mean - self.mean);
         let mean_square = self.mean_square + rate * (batch_square - self.mean_square);
-        let std = (mean_square - mean * mean).max(0.0).sqrt().max(f64::from(floor));
+        let std = (mean_square - mean * mean).max(0.0).sqrt().max(f64::from(MIN_VALUE_STD));
         Self { mean, std, mean_square, n_batches: self.n_batches + 1 }
     }
 
@@ -79,9 +83,10 @@ mod tests {
     fn rescaled_head_keeps_its_output_in_reward_units() {
         let before = ValueStatistics::default();
         // The first batch has full weight: mean 3, standard deviation 1.
-        let after = before.after(&[2.0, 4.0], 0.1, 0.01);
+        let after = before.after(&[2.0, 4.0]);
         assert!((after.mean - 3.0).abs() < 1e-12 && (after.std - 1.0).abs() < 1e-12);
-        let later = after.after(&[20.0, 40.0], 0.9, 0.01);
+        // The second has half of it.
+        let later = after.after(&[20.0, 40.0]);
         let (mut weights, mut bias) = ([0.5, -2.0], 0.25);
         let value = |s: &ValueStatistics, w: &[f32; 2], b: f32| s.std * f64::from(w[0] * 3.0 + w[1] * 7.0 + b) + s.mean;
         let old = value(&after, &weights, bias);
@@ -92,7 +97,7 @@ mod tests {
 
     #[test]
     fn constant_targets_have_the_minimum_deviation() {
-        let statistics = ValueStatistics::default().after(&[5.0; 4], 0.1, 0.25);
-        assert_eq!((statistics.mean, statistics.std), (5.0, 0.25));
+        let statistics = ValueStatistics::default().after(&[5.0; 4]);
+        assert_eq!((statistics.mean, statistics.std), (5.0, f64::from(0.01_f32)));
     }
 }

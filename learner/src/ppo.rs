@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use burn::tensor::Device;
 use policy::PolicyConfig;
-use policy::parameters::{ParameterError, ParameterSpec, VALUE_HEAD};
+use policy::parameters::{ParameterError, ParameterSpec};
 use proto::metrics::{PpoMetrics, ProposalMetrics};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -16,10 +16,16 @@ use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
 use crate::config::{LearnerConfig, Objective, RateRule};
 use crate::draws;
+use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalization::ValueStatistics;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
+
+/// Samples per pass through the network, which bounds its memory: on a CPU, a pass with gradients keeps about 230 kB per
+/// sample. A minibatch is split into equal pieces of about this size, the threads share the pieces, and their gradients
+/// are summed.
+pub(crate) const PIECE_SIZE: usize = 128;
 
 /// Maximum number of samples for estimating the KL divergence of an update.
 const KL_SAMPLES: usize = 2048;
@@ -64,8 +70,6 @@ pub(crate) struct Learned {
 /// Positions of the value head in the flat vector.
 #[derive(Clone, Debug)]
 struct ValueHead {
-    /// Ranges of all its parameters.
-    parameters: Vec<Range<usize>>,
     /// Range of its last layer's weights.
     weights: Range<usize>,
     bias: usize,
@@ -150,41 +154,34 @@ impl Ppo {
     /// Runs an update on a batch with samples.
     fn update_with(&mut self, batch: &mut Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> Learned {
         let terms = config.loss.at(progress.n_env_steps);
-        let mut before = self.workers.evaluate(batch, config.forward_size);
+        let mut before = self.workers.evaluate(batch);
         if batch.refuse(&before.values, &before.log_probs) > 0 {
-            before = self.workers.evaluate(batch, config.forward_size);
+            before = self.workers.evaluate(batch);
         }
         let batch = &*batch;
         let values = in_reward_units(&before.values, progress.values);
-        let advantages = batch.advantages(&values, config.gamma, config.lambda);
+        let advantages = batch.advantages(&values, config.gamma, config.lambda, config.deadline);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
         if config.normalization.values && returns.iter().all(|x| x.is_finite()) {
-            let norm = &config.normalization;
-            let next = progress.values.after(&returns, norm.value_rate, norm.min_value_std);
+            let next = progress.values.after(&returns);
             self.rescale_value_head(progress.values, &next);
             *progress.values = next;
         }
         let (reference, weights) = match config.loss.objective {
             Objective::Standard => (&batch.behavior_log_probs, vec![1.0; batch.n_samples()]),
-            Objective::Decoupled => {
-                let weights =
-                    behavior_weights(&before.log_probs, &batch.behavior_log_probs, config.loss.max_behavior_weight);
-                (&before.log_probs, weights)
-            }
+            Objective::Decoupled => (&before.log_probs, behavior_weights(&before.log_probs, &batch.behavior_log_probs)),
         };
         let mut targets = Targets {
             loss: terms,
             reference,
             weights,
-            advantages: batch.scaled(advantages),
-            old_values: normalized(&values[..batch.n_samples()], progress.values),
+            advantages: scaled(advantages),
             value_targets: normalized(&returns, progress.values),
         };
 
         let mut steps = Steps::default();
         let mut moved = RatioStatistics::default();
         let rate = *progress.learning_rate;
-        let mut n_epochs = 0;
         for epoch in 0..config.n_epochs {
             if epoch > 0 {
                 // The critic has changed, so recompute the stale advantages (Andrychowicz et al., "What matters in
@@ -192,14 +189,8 @@ impl Ppo {
                 self.refresh(batch, config, progress.values, &mut targets);
             }
             moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
-            n_epochs += 1;
-            if epoch + 1 == config.n_epochs || config.optimizer.stop_kl.is_some() {
-                moved.approx_kl = self.divergence(batch, targets.reference, config);
-            }
-            if config.optimizer.stop_kl.is_some_and(|limit| moved.approx_kl > f64::from(limit)) {
-                break;
-            }
         }
+        moved.approx_kl = self.divergence(batch, targets.reference, config);
         if let RateRule::Adaptive(rule) = &config.optimizer.rate_rule {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
@@ -220,7 +211,7 @@ impl Ppo {
             n_samples: batch.n_samples() as u64,
             n_gradient_steps: steps.n_steps,
             n_skipped_steps: steps.n_skipped,
-            n_epochs,
+            n_epochs: config.n_epochs as u64,
             value_mean: progress.values.mean,
             value_std: progress.values.std,
         };
@@ -247,7 +238,7 @@ impl Ppo {
             let mut gradient = self.workers.zeros(self.parameters.len());
             let mut samples = minibatch.iter();
             let mut losses = LossSums::default();
-            for pass in self.workers.gradients(batch, minibatch, config.forward_size, targets) {
+            for pass in self.workers.gradients(batch, minibatch, targets) {
                 gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += g);
                 self.workers.reuse(pass.gradient);
                 pass.log_probs.iter().zip(&mut samples).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
@@ -266,7 +257,7 @@ impl Ppo {
     fn divergence(&mut self, batch: &Batch, reference: &[f32], config: &LearnerConfig) -> f64 {
         let n_samples = batch.n_samples();
         let rows: Vec<usize> = (0..n_samples).step_by(n_samples.div_ceil(KL_SAMPLES).max(1)).collect();
-        let log_probs = self.workers.log_probs(batch, &rows, config.forward_size);
+        let log_probs = self.workers.log_probs(batch, &rows);
         let reference: Vec<f32> = rows.iter().map(|&row| reference[row]).collect();
         RatioStatistics::new(&log_probs, &reference, config.loss.clip).approx_kl
     }
@@ -282,14 +273,7 @@ impl Ppo {
         }
         steps.grad_norm += f64::from(norm);
         steps.n_steps += 1;
-        let before = config.optimizer.critic_rate.map(|critic_rate| (critic_rate / rate.0, self.parameters.clone()));
-        self.adam.step(&mut self.parameters, gradient, rate, &config.optimizer);
-        if let Some((factor, before)) = before {
-            for at in self.value_head.parameters.iter().cloned().flatten() {
-                // Adam's step is proportional to its learning rate.
-                self.parameters[at] = before[at] + (self.parameters[at] - before[at]) * factor;
-            }
-        }
+        self.adam.step(&mut self.parameters, gradient, rate);
         self.load();
         true
     }
@@ -302,12 +286,12 @@ impl Ppo {
         statistics: &ValueStatistics,
         targets: &mut Targets<'_>,
     ) {
-        let values = self.workers.values(batch, config.forward_size);
+        let values = self.workers.values(batch);
         let values = in_reward_units(&values, statistics);
-        let advantages = batch.advantages(&values, config.gamma, config.lambda);
+        let advantages = batch.advantages(&values, config.gamma, config.lambda, config.deadline);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
         targets.value_targets = normalized(&returns, statistics);
-        targets.advantages = batch.scaled(advantages);
+        targets.advantages = scaled(advantages);
     }
 
     fn rescale_value_head(&mut self, from: &ValueStatistics, to: &ValueStatistics) {
@@ -326,16 +310,13 @@ impl Ppo {
 }
 
 impl ValueHead {
-    /// Finds all parameters of [`VALUE_HEAD`], the last kernel named `value.mlp.*`, and its bias.
+    /// Finds the last kernel named `value.mlp.*`, and its bias.
     fn find(table: &[ParameterSpec]) -> Self {
-        let mut found = Self { parameters: Vec::new(), weights: 0..0, bias: 0 };
+        let mut found = Self { weights: 0..0, bias: 0 };
         let mut at = 0;
         for spec in table {
             let range = at..at + spec.len();
             at = range.end;
-            if spec.name.starts_with(VALUE_HEAD) {
-                found.parameters.push(range.clone());
-            }
             if spec.name.starts_with("value.mlp.") {
                 if spec.name.ends_with(".w") {
                     found.weights = range;
@@ -346,6 +327,12 @@ impl ValueHead {
         }
         found
     }
+}
+
+/// Scales advantages for the policy loss.
+fn scaled(mut advantages: Vec<f32>) -> Vec<f32> {
+    gae::normalize(&mut advantages);
+    advantages
 }
 
 fn in_reward_units(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {
@@ -377,9 +364,7 @@ mod tests {
             let weights = Learner::new(setup.clone()).unwrap().weights();
             let drawn = bandit(&setup, &weights, 128, &mut ChaCha8Rng::seed_from_u64(2));
             let update = |drawn: &[Trajectory]| {
-                let factors = setup.config.rewards.at(0);
-                let mut batch =
-                    Batch::new(drawn.to_vec(), WeightsVersion(0), Catalog::builtin(), &setup.policy, &factors);
+                let mut batch = Batch::new(drawn.to_vec(), WeightsVersion(0), Catalog::builtin(), &setup.policy);
                 let mut ppo = Ppo::new(&setup.policy, 1, &setup.device.open().unwrap(), 1);
                 let mut progress = Progress {
                     rng: &mut ChaCha8Rng::seed_from_u64(3),

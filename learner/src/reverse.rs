@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::config::ReverseConfig;
 use crate::numbers::share;
 
+/// Weight of one episode in the success rate.
+const TAU: f64 = 0.05;
+
 /// How far from the goal episodes begin, by the goal's number of blocks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -61,7 +64,7 @@ impl ReverseCurriculum {
         };
         let Some(frontier) = self.0.get_mut(&n_blocks).filter(|frontier| frontier.reach == undone) else { return };
         let hit = f64::from(u8::from(success));
-        frontier.success_rate += config.tau * (hit - frontier.success_rate);
+        frontier.success_rate += TAU * (hit - frontier.success_rate);
         if frontier.success_rate >= config.gate && frontier.reach < n_blocks {
             *frontier = Frontier { reach: frontier.reach + 1, success_rate: 0.0 };
         }
@@ -83,16 +86,17 @@ mod tests {
 
     #[test]
     fn the_frontier_moves_by_its_own_successes_up_to_scattered_starts() {
-        let config = ReverseConfig { tau: 0.5, gate: 0.7 };
+        let config = ReverseConfig { gate: 0.1 };
         let mut curriculum = ReverseCurriculum::new([2, 3]);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into());
-        // Success rates 0.5, then 0.75.
+        // Success rates 0.05, 0.0975, then 0.142625.
+        curriculum.record(&near(1), 3, true, &config);
         curriculum.record(&near(1), 3, true, &config);
         curriculum.record(&near(2), 3, true, &config);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 1)].into(), "an episode beyond the frontier does not count");
         curriculum.record(&near(1), 3, true, &config);
         assert_eq!(curriculum.reach(), [(2, 1), (3, 2)].into());
-        // Success rates 0.5, 0.25, 0.625, 0.8125.
+        // Success rates 0.05, 0.0475, 0.095125, 0.14036875.
         for success in [true, false, true, true] {
             assert_eq!(curriculum.reach()[&3], 2);
             curriculum.record(&near(2), 3, success, &config);

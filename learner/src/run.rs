@@ -38,6 +38,9 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// does not have. After three, the settings are at fault, and waiting would only cost time.
 const MAX_REFUSED: u64 = 3;
 
+/// Time between attempts of a run to save what it could not. Training waits so long.
+pub const SAVE_RETRY: Duration = Duration::from_secs(30);
+
 /// Options of a run.
 pub struct RunOptions {
     /// The inputs of the learner.
@@ -52,6 +55,8 @@ pub struct RunOptions {
     pub feed: Option<Feed>,
     /// Gets the metrics of every update too.
     pub told: watch::Sender<Option<LearnerMetrics>>,
+    /// Time between attempts while nothing can be saved, for example on a full disk; see [`SAVE_RETRY`].
+    pub save_retry: Duration,
 }
 
 /// Why training stopped: update after update gave weights with which no policy can act.

@@ -9,17 +9,15 @@ use rand_chacha::ChaCha8Rng;
 /// Maximum number of scenes from the update's own batch on which its weights are tried.
 const N_SCENES: usize = 16;
 
-/// Scenes from a batch, each with its goal, the number of steps before it, and its trajectory's fingerprint.
-pub(crate) struct Trial(Vec<(Scene, Blueprint, u16, u64)>);
+/// Scenes from a batch, each with its goal and its trajectory's fingerprint.
+pub(crate) struct Trial(Vec<(Scene, Blueprint, u64)>);
 
 impl Trial {
     /// Takes scenes from trajectories evenly over the batch.
     pub(crate) fn new(trajectories: &[Trajectory], catalog: &Catalog) -> Self {
         let last = |trajectory: &Trajectory| {
             let blueprint = catalog.find(&trajectory.task.blueprint)?.permuted(&trajectory.task.assignment);
-            let n_steps = u16::try_from(trajectory.transitions.len()).unwrap_or(u16::MAX);
-            let n_steps = trajectory.first_step.saturating_add(n_steps);
-            Some((trajectory.last_scene.clone(), blueprint, n_steps, trajectory.fingerprint()))
+            Some((trajectory.last_scene.clone(), blueprint, trajectory.fingerprint()))
         };
         let every = trajectories.len().div_ceil(N_SCENES).max(1);
         Self(trajectories.iter().step_by(every).filter_map(last).collect())
@@ -27,7 +25,7 @@ impl Trial {
 
     /// Leaves out the scenes of refused trajectories, which say nothing about the weights.
     pub(crate) fn leave_out(&mut self, refused: &[u64]) {
-        self.0.retain(|(_, _, _, fingerprint)| !refused.contains(fingerprint));
+        self.0.retain(|(_, _, fingerprint)| !refused.contains(fingerprint));
     }
 
     /// Loads the weights into `policy` and acts once in every scene.
@@ -36,11 +34,8 @@ impl Trial {
     /// Why no policy can act with the weights.
     pub(crate) fn of(&self, weights: &Weights, policy: &mut Policy) -> Result<(), PolicyError> {
         policy.load(weights)?;
-        let observations: Vec<Observation<'_>> = self
-            .0
-            .iter()
-            .map(|(scene, blueprint, n_steps, _)| Observation { scene, blueprint, n_steps: *n_steps })
-            .collect();
+        let observations: Vec<Observation<'_>> =
+            self.0.iter().map(|(scene, blueprint, _)| Observation { scene, blueprint }).collect();
         let n = observations.len();
         let mut unused = vec![ChaCha8Rng::seed_from_u64(0); n];
         policy.act(&observations, &vec![ActionMode::Greedy; n], &mut unused).map(drop)

@@ -108,7 +108,7 @@ fn decide(head: MoveHead, features: &FeatureConfig) {
         Catalog::builtin().of_split(Split::Train).into_iter().filter(|goal| goal.n_blocks() >= 12).collect();
     let scenes: Vec<Scene> = goals.iter().map(|goal| half_built(goal)).collect();
     let seen: Vec<Observation<'_>> =
-        scenes.iter().zip(goals).map(|(scene, blueprint)| Observation { scene, blueprint, n_steps: 40 }).collect();
+        scenes.iter().zip(goals).map(|(scene, blueprint)| Observation { scene, blueprint }).collect();
     let modes = vec![ActionMode::Sampled; seen.len()];
     let mut rngs: Vec<ChaCha8Rng> = (0..seen.len() as u64).map(ChaCha8Rng::seed_from_u64).collect();
     let name = if head == MoveHead::Mixture { "decide mixture" } else { "decide gaussian" };
@@ -142,11 +142,10 @@ fn half_built(goal: &Blueprint) -> Scene {
 fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {
     let fill = |n: usize| (0..n).map(|i| ((i * 7919) % 2003) as f32 / 1001.0 - 1.0).collect();
     let mut batch = FeatureBatch::new(config);
-    let FeatureSizes { node, edge, global } = batch.sizes;
+    let FeatureSizes { node, edge, global, .. } = batch.sizes;
     batch.n = b;
     (batch.nodes, batch.edges, batch.globals) = (fill(b * 16 * node), fill(b * 240 * edge), fill(b * global));
     batch.allowed = vec![true; b * 16];
-    (batch.held, batch.n_steps) = (vec![[None; 2]; b], vec![0; b]);
     batch
 }
 

@@ -1,7 +1,7 @@
 //! Batches of scene features.
 
 use blueprints::{BlockIdx, N_BLOCKS};
-use proto::{N_GRIPPERS, Observation};
+use proto::Observation;
 
 use crate::config::{BlockMask, FeatureConfig, MoveHead, PolicyConfig};
 use crate::features::{FeatureSizes, N_EDGES, write_features};
@@ -20,10 +20,6 @@ pub struct FeatureBatch {
     pub globals: Vec<f32>,
     /// `[n, 16]`: whether [`BlockMask::Blueprint`](crate::config::BlockMask) allows a gripper to choose the block.
     pub allowed: Vec<bool>,
-    /// `[n]`: the block that each gripper held in the last step.
-    pub held: Vec<[Option<BlockIdx>; N_GRIPPERS]>,
-    /// `[n]`: steps since the episode began.
-    pub n_steps: Vec<u16>,
     /// `[n]`: what the mixture head chooses among; empty for the Gaussian head.
     pub proposals: Vec<Proposals>,
     /// nd, ed, and gd.
@@ -41,8 +37,6 @@ impl FeatureBatch {
             edges: Vec::new(),
             globals: Vec::new(),
             allowed: Vec::new(),
-            held: Vec::new(),
-            n_steps: Vec::new(),
             proposals: Vec::new(),
             sizes: FeatureSizes::new(config),
             config: *config,
@@ -64,8 +58,8 @@ impl FeatureBatch {
 
     /// Appends a scene.
     pub fn push(&mut self, observation: &Observation<'_>) {
-        let Observation { scene, blueprint, n_steps } = *observation;
-        let FeatureSizes { node, edge, global } = self.sizes;
+        let Observation { scene, blueprint } = *observation;
+        let FeatureSizes { node, edge, global, .. } = self.sizes;
         let (nodes_at, edges_at, globals_at) = (self.nodes.len(), self.edges.len(), self.globals.len());
         self.nodes.resize(nodes_at + N_BLOCKS * node, 0.0);
         self.edges.resize(edges_at + N_EDGES * edge, 0.0);
@@ -84,8 +78,6 @@ impl FeatureBatch {
             self.allowed[allowed_at + joint.a.get()] = true;
             self.allowed[allowed_at + joint.b.get()] = true;
         }
-        self.held.push(scene.grippers.map(|gripper| gripper.and_then(|gripper| gripper.held)));
-        self.n_steps.push(n_steps);
         if self.with_proposals {
             self.proposals.push(Proposals::new(observation));
         }
@@ -100,8 +92,6 @@ impl FeatureBatch {
         self.edges.truncate(n * N_EDGES * self.sizes.edge);
         self.globals.truncate(n * self.sizes.global);
         self.allowed.truncate(n * N_BLOCKS);
-        self.held.truncate(n);
-        self.n_steps.truncate(n);
         self.proposals.truncate(n);
     }
 
@@ -121,8 +111,6 @@ impl FeatureBatch {
             edges: pick(&self.edges, N_EDGES * self.sizes.edge, rows),
             globals: pick(&self.globals, self.sizes.global, rows),
             allowed: pick(&self.allowed, N_BLOCKS, rows),
-            held: pick(&self.held, 1, rows),
-            n_steps: pick(&self.n_steps, 1, rows),
             proposals: if self.with_proposals {
                 rows.iter().map(|&row| self.proposals[row].clone()).collect()
             } else {
@@ -136,21 +124,13 @@ impl FeatureBatch {
 }
 
 impl PolicyConfig {
-    /// Returns the blocks that each gripper may choose in a row of a batch, `[2, 16]`; `None` if all.
+    /// Returns the blocks that a gripper may choose in a row of a batch; `None` if all.
     ///
     /// # Panics
     /// If the batch has no such row.
-    pub fn choosable(&self, batch: &FeatureBatch, row: usize) -> Option<[[bool; N_BLOCKS]; N_GRIPPERS]> {
+    pub fn choosable(&self, batch: &FeatureBatch, row: usize) -> Option<[bool; N_BLOCKS]> {
         let is_masked = self.mask == BlockMask::Blueprint;
-        let keeps = !batch.n_steps[row].is_multiple_of(self.grip_steps);
-        if !is_masked && !keeps {
-            return None;
-        }
-        Some(batch.held[row].map(|held| match held {
-            Some(held) if keeps => std::array::from_fn(|block| block == held.get()),
-            _ if is_masked => std::array::from_fn(|block| batch.allowed[row * N_BLOCKS + block]),
-            _ => [true; N_BLOCKS],
-        }))
+        is_masked.then(|| std::array::from_fn(|block| batch.allowed[row * N_BLOCKS + block]))
     }
 }
 

@@ -1,15 +1,14 @@
 //! The action distribution of one scene, on slices: sampling, mode, log-probability, and entropy.
 //!
-//! Each gripper chooses one of 16 blocks; each block has a Gaussian move with a diagonal covariance. [`JointForm`]
-//! defines which parts count in the joint log-probability. [`crate::loss_terms`] has the tensor version.
+//! Each gripper chooses one of 16 blocks; each block has a Gaussian move with a diagonal covariance. The joint
+//! log-probability is Σ_g log π_g(b_g) + Σ over the *distinct* chosen blocks of log N_b: a block chosen by both grippers
+//! counts its move once. [`crate::loss_terms`] has the tensor version.
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::{Action, Move, N_GRIPPERS};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
-
-use crate::config::JointForm;
 
 /// Logit of a block that may not be chosen.
 pub const MASKED_LOGIT: f32 = -1e9;
@@ -23,7 +22,6 @@ pub struct ActionDistribution<'a> {
     logits: &'a [f32],
     locs: &'a [f32],
     scales: &'a [f32],
-    form: JointForm,
 }
 
 /// Entropy by part, in nats.
@@ -31,7 +29,7 @@ pub struct ActionDistribution<'a> {
 pub struct Entropy {
     /// Σ over grippers of the entropy of the block choice.
     pub blocks: f32,
-    /// Entropy of the moves that count in the joint form, expected over the block choice.
+    /// Entropy of the moves of the chosen blocks, expected over the choice.
     pub moves: f32,
 }
 
@@ -43,11 +41,11 @@ impl<'a> ActionDistribution<'a> {
     ///
     /// # Panics
     /// If a slice has another length, or G is not 1 or 2.
-    pub fn new(logits: &'a [f32], locs: &'a [f32], scales: &'a [f32], form: JointForm) -> Self {
+    pub fn new(logits: &'a [f32], locs: &'a [f32], scales: &'a [f32]) -> Self {
         let n_grippers = logits.len() / N_BLOCKS;
         assert!(logits.len() == n_grippers * N_BLOCKS && (1..=N_GRIPPERS).contains(&n_grippers), "length of logits");
         assert!(locs.len() == N_BLOCKS * 6 && scales.len() == N_BLOCKS * 6, "length of locs and scales");
-        Self { logits, locs, scales, form }
+        Self { logits, locs, scales }
     }
 
     /// Samples the blocks and the moves of all 16 blocks, chosen or not. Returns `None` if a gripper's logits are not a
@@ -79,21 +77,14 @@ impl<'a> ActionDistribution<'a> {
     /// Grippers beyond G are ignored; a missing choice of a gripper within G gives −∞.
     pub fn log_prob(&self, action: &Action) -> f32 {
         let mut total = 0.0;
-        let mut counts = [0.0_f32; N_BLOCKS];
+        let mut is_chosen = [false; N_BLOCKS];
         for (choice, logits) in action.choices.iter().zip(self.logits.chunks_exact(N_BLOCKS)) {
             let Some(block) = choice else { return f32::NEG_INFINITY };
             total += log_softmax(logits)[block.get()];
-            counts[block.get()] += 1.0;
+            is_chosen[block.get()] = true;
         }
-        for (b, count) in counts.iter().enumerate() {
-            let weight = match self.form {
-                JointForm::ChosenUnique => count.min(1.0),
-                JointForm::ChosenPerGripper => *count,
-                JointForm::Matrix => 1.0,
-            };
-            if weight > 0.0 {
-                total += weight * self.move_log_prob(b, &action.moves[b]);
-            }
+        for b in (0..N_BLOCKS).filter(|&b| is_chosen[b]) {
+            total += self.move_log_prob(b, &action.moves[b]);
         }
         total
     }
@@ -104,11 +95,8 @@ impl<'a> ActionDistribution<'a> {
         let blocks = log_probs.iter().flatten().map(|lp| -lp.exp() * lp).sum();
         let moves = (0..N_BLOCKS)
             .map(|b| {
-                let weight: f32 = match self.form {
-                    JointForm::ChosenUnique => 1.0 - log_probs.iter().map(|lp| 1.0 - lp[b].exp()).product::<f32>(),
-                    JointForm::ChosenPerGripper => log_probs.iter().map(|lp| lp[b].exp()).sum(),
-                    JointForm::Matrix => 1.0,
-                };
+                // The probability that some gripper chooses the block.
+                let weight = 1.0 - log_probs.iter().map(|lp| 1.0 - lp[b].exp()).product::<f32>();
                 weight * self.move_entropy(b)
             })
             .sum();
@@ -143,9 +131,9 @@ impl<'a> ActionDistribution<'a> {
 /// Masks the logits of blocks that may not be chosen.
 ///
 /// # Shapes
-/// logits `[G, 16]`, allowed `[2, 16]`, of which only the first G rows are used.
-pub fn mask_logits(logits: &mut [f32], allowed: &[[bool; N_BLOCKS]; N_GRIPPERS]) {
-    for (row, allowed) in logits.chunks_exact_mut(N_BLOCKS).zip(allowed) {
+/// logits `[G, 16]`
+pub fn mask_logits(logits: &mut [f32], allowed: &[bool; N_BLOCKS]) {
+    for row in logits.chunks_exact_mut(N_BLOCKS) {
         for (logit, allowed) in row.iter_mut().zip(allowed) {
             if !allowed {
                 *logit = MASKED_LOGIT;

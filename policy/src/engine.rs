@@ -49,7 +49,7 @@ impl Engine {
                 Form::Burn { folded: Box::new(plain.fold()), plain: Box::new(plain), tracked }
             }
         };
-        let n_grippers = usize::from(config.network.n_grippers);
+        let n_grippers = usize::from(config.features.n_grippers);
         Self { table, n_grippers, device: device.clone(), with_gradients, form }
     }
 

@@ -85,16 +85,20 @@ pub struct FeatureSizes {
     pub edge: usize,
     /// Features of the whole scene.
     pub global: usize,
+    /// Grippers, each of which has an equal part of the features of the scene.
+    pub n_grippers: usize,
 }
 
 impl FeatureSizes {
     /// Returns the lengths for a configuration; (3, 24, 50) for [`FeatureConfig::paper`].
     pub fn new(config: &FeatureConfig) -> Self {
         let on = |flag: bool, n: usize| if flag { n } else { 0 };
+        let n_grippers = usize::from(config.n_grippers);
         Self {
             node: BASE_NODE + on(config.up_axis, 3) + on(config.membership, 1) + on(config.block_shape, 3),
             edge: BASE_EDGE + on(config.needed_moves, 12),
-            global: usize::from(config.n_grippers) * GRIPPER_PART,
+            global: n_grippers * GRIPPER_PART,
+            n_grippers,
         }
     }
 }

@@ -24,8 +24,7 @@ pub mod proposals;
 
 pub use batch::FeatureBatch;
 pub use config::{
-    BlockMask, EncoderConfig, FeatureConfig, GatConfig, JointForm, MoveHead, NetworkConfig, PolicyConfig, ResnetConfig,
-    ScaleConfig,
+    BlockMask, EncoderConfig, FeatureConfig, GatConfig, MoveHead, NetworkConfig, PolicyConfig, ResnetConfig,
 };
 pub use device::{DeviceError, DeviceKind};
 pub use engine::{Engine, Leaves};

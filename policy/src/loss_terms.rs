@@ -4,7 +4,6 @@ use blueprints::N_BLOCKS;
 use burn::tensor::{Bool, Device, Tensor, TensorData, activation};
 use proto::{Action, N_GRIPPERS};
 
-use crate::config::JointForm;
 use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT};
 use crate::mixture::{ActionRows, Row};
 use crate::network::{MoveTensors, NetworkOutput};
@@ -38,7 +37,7 @@ pub struct DrawTensors {
 pub struct EntropyTensors {
     /// Σ over grippers of the entropy of the block choice, `[B]`.
     pub blocks: Tensor<1>,
-    /// Entropy of the moves that count in the joint form, expected over the block choice, `[B]`.
+    /// Entropy of the moves of the chosen blocks, expected over the choice, `[B]`.
     pub moves: Tensor<1>,
 }
 
@@ -89,17 +88,16 @@ impl ActionTensors {
 /// Sets the logits of blocks that may not be chosen to −1e9.
 ///
 /// # Shapes
-/// logits `[B, G, 16]`, allowed `[B, 2, 16]`, of which only the first G grippers are used; `None` allows all →
-/// `[B, G, 16]`
-pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRIPPERS]>]) -> Tensor<3> {
+/// logits `[B, G, 16]`, allowed `[B, 16]`; `None` allows all → `[B, G, 16]`
+pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[bool; N_BLOCKS]>]) -> Tensor<3> {
     if allowed.iter().all(Option::is_none) {
         return logits;
     }
     let [b, g, n] = logits.dims();
     let mut forbidden = Vec::with_capacity(b * g * n);
     for row in allowed {
-        let row = row.unwrap_or([[true; N_BLOCKS]; N_GRIPPERS]);
-        forbidden.extend(row[..g].iter().flatten().map(|allowed| !allowed));
+        let row = row.unwrap_or([true; N_BLOCKS]).map(|allowed| !allowed);
+        (0..g).for_each(|_| forbidden.extend(row));
     }
     let mask = Tensor::<3, Bool>::from_data(TensorData::new(forbidden, [b, g, n]), &logits.device());
     logits.mask_fill(mask, MASKED_LOGIT)
@@ -109,7 +107,7 @@ pub fn mask_logits(logits: Tensor<3>, allowed: &[Option<[[bool; N_BLOCKS]; N_GRI
 ///
 /// # Shapes
 /// → `[B]`
-pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm) -> Tensor<1> {
+pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors) -> Tensor<1> {
     let choice = per_row(activation::log_softmax(block_logits(output), 2) * actions.choices.clone());
     if let (Some(logits), Some(drawn)) = (&output.draws, &actions.draws) {
         let of_draw = |logits: &Tensor<2>, drawn: &Tensor<2>| {
@@ -122,11 +120,7 @@ pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm
     let z = (actions.moves.clone() - locs.clone()) / scales.clone();
     let density = (z.powi_scalar(2).mul_scalar(-0.5) - scales.clone().log()).sub_scalar(HALF_LN_2PI);
     let by_block = density.sum_dim(2).squeeze_dim::<2>(2);
-    let weighted = match form {
-        JointForm::Matrix => by_block,
-        JointForm::ChosenPerGripper => by_block * counts(&actions.choices),
-        JointForm::ChosenUnique => by_block * counts(&actions.choices).clamp_max(1.0),
-    };
+    let weighted = by_block * counts(&actions.choices).clamp_max(1.0);
     choice + weighted.sum_dim(1).squeeze_dim(1)
 }
 
@@ -137,7 +131,7 @@ pub fn log_prob(output: &NetworkOutput, actions: &ActionTensors, form: JointForm
 ///
 /// # Shapes
 /// → `[B]` each
-pub fn entropy(output: &NetworkOutput, draws: Option<&DrawTensors>, form: JointForm) -> EntropyTensors {
+pub fn entropy(output: &NetworkOutput, draws: Option<&DrawTensors>) -> EntropyTensors {
     let log_probs = activation::log_softmax(block_logits(output), 2);
     let probs = log_probs.clone().exp();
     let blocks = per_row(probs.clone() * log_probs).neg();
@@ -154,19 +148,13 @@ pub fn entropy(output: &NetworkOutput, draws: Option<&DrawTensors>, form: JointF
         };
     }
     let of_move = output.gaussians().scales.clone().log().add_scalar(0.5 + HALF_LN_2PI).sum_dim(2).squeeze_dim::<2>(2);
-    let weighted = match form {
-        JointForm::Matrix => of_move,
-        JointForm::ChosenPerGripper => of_move * counts(&probs),
-        JointForm::ChosenUnique => {
-            let [b, g, n] = probs.dims();
-            // 1 − Π_g (1 − p_g): the probability that some gripper chooses the block.
-            let nobody = (0..g)
-                .map(|k| probs.clone().slice([0..b, k..k + 1, 0..n]).squeeze_dim::<2>(1).neg().add_scalar(1.0))
-                .reduce(|a, b| a * b)
-                .expect("there is at least one gripper");
-            of_move * nobody.neg().add_scalar(1.0)
-        }
-    };
+    let [b, g, n] = probs.dims();
+    // 1 − Π_g (1 − p_g): the probability that some gripper chooses the block.
+    let nobody = (0..g)
+        .map(|k| probs.clone().slice([0..b, k..k + 1, 0..n]).squeeze_dim::<2>(1).neg().add_scalar(1.0))
+        .reduce(|a, b| a * b)
+        .expect("there is at least one gripper");
+    let weighted = of_move * nobody.neg().add_scalar(1.0);
     EntropyTensors { blocks, moves: weighted.sum_dim(1).squeeze_dim(1) }
 }
 

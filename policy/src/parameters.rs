@@ -14,9 +14,6 @@ use sha2::{Digest, Sha256};
 
 use crate::Network;
 
-/// Prefix of the names of the value head's parameters.
-pub const VALUE_HEAD: &str = "value.";
-
 /// Number of values that a digest takes at a time.
 const BLOCK: usize = 1024;
 

@@ -198,7 +198,7 @@ impl Policy {
             batch: FeatureBatch::of_policy(&self.config),
         };
         if let Some(blueprint) = Catalog::builtin().iter().next() {
-            tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint, n_steps: 0 }])?;
+            tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint }])?;
         }
         *self = tried;
         Ok(())
@@ -238,7 +238,7 @@ impl Policy {
                 (drawn.action, drawn.slots.map(|slot| slot.map(Slot::index)), drawn.log_prob)
             } else {
                 let [locs, scales] = [&output.locs, &output.scales].map(|of| &of[row * 96..(row + 1) * 96]);
-                let distribution = ActionDistribution::new(logits, locs, scales, self.config.joint_form);
+                let distribution = ActionDistribution::new(logits, locs, scales);
                 let action = match mode {
                     ActionMode::Sampled => distribution.sample(rng).ok_or_else(no_choice)?,
                     ActionMode::Greedy => distribution.mode(),

@@ -37,7 +37,7 @@ fn row_scene() -> Scene {
 
 fn features(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig) -> FeatureBatch {
     let mut batch = FeatureBatch::new(config);
-    batch.push(&Observation { scene, blueprint, n_steps: 0 });
+    batch.push(&Observation { scene, blueprint });
     batch
 }
 
@@ -53,10 +53,16 @@ fn close(a: &[f32], b: &[f32]) -> bool {
 
 #[test]
 fn sizes_are_the_papers_without_extensions() {
-    assert_eq!(FeatureSizes::new(&FeatureConfig::paper()), FeatureSizes { node: 3, edge: 24, global: 50 });
-    assert_eq!(FeatureSizes::new(&FeatureConfig::default()), FeatureSizes { node: 10, edge: 36, global: 50 });
+    assert_eq!(
+        FeatureSizes::new(&FeatureConfig::paper()),
+        FeatureSizes { node: 3, edge: 24, global: 50, n_grippers: 2 }
+    );
+    assert_eq!(
+        FeatureSizes::new(&FeatureConfig::default()),
+        FeatureSizes { node: 10, edge: 36, global: 50, n_grippers: 2 }
+    );
     let single = FeatureConfig { n_grippers: 1, ..FeatureConfig::paper() };
-    assert_eq!(FeatureSizes::new(&single).global, 25);
+    assert_eq!(FeatureSizes::new(&single), FeatureSizes { node: 3, edge: 24, global: 25, n_grippers: 1 });
 }
 
 #[test]

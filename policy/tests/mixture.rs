@@ -10,8 +10,7 @@ use policy::loss_terms::{self, ActionTensors};
 use policy::mixture::{ActionRows, Draw, DrawLogits, MixtureDistribution, N_READOUTS, Row};
 use policy::proposals::{Kind, Proposals, Slot};
 use policy::{
-    BatchTensors, Engine, FeatureBatch, FeatureConfig, JointForm, MoveHead, Network, NetworkConfig, PolicyConfig,
-    parameters,
+    BatchTensors, Engine, FeatureBatch, FeatureConfig, MoveHead, Network, NetworkConfig, PolicyConfig, parameters,
 };
 use proto::{Action, ActionMode, Gripper, Joint, Move, Observation, Pose, Scene};
 use rand::{RngExt, SeedableRng};
@@ -79,7 +78,7 @@ fn moved(pose: &Pose, movement: &Move) -> Pose {
 }
 
 fn proposals(scene: &Scene, blueprint: &Blueprint) -> Proposals {
-    Proposals::new(&Observation { scene, blueprint, n_steps: 0 })
+    Proposals::new(&Observation { scene, blueprint })
 }
 
 fn kinds(proposals: &Proposals, block: BlockIdx) -> Vec<Kind> {
@@ -441,21 +440,21 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
     let mut engine = Engine::new(&config, 0, &device, true);
     engine.load(&values).unwrap();
 
-    const N_DRAWS: u16 = 30;
+    const N_DRAWS: usize = 30;
     let (goal, scene) = busy();
     let mut batch = FeatureBatch::of_policy(&config);
     let mut actions = Vec::new();
-    for n_steps in 0..N_DRAWS {
-        batch.push(&Observation { scene: &scene, blueprint: &goal, n_steps });
-        let outputs = engine.run(&batch, &[usize::from(n_steps)]);
+    for draw in 0..N_DRAWS {
+        batch.push(&Observation { scene: &scene, blueprint: &goal });
+        let outputs = engine.run(&batch, &[draw]);
         let distribution = MixtureDistribution {
             logits: &outputs.logits,
             readouts: &outputs.readouts,
-            proposals: &batch.proposals[usize::from(n_steps)],
+            proposals: &batch.proposals[draw],
         };
         // With one more draw each time, and the last on one block.
         let mut drawn = distribution.act(ActionMode::Sampled, &mut rng).unwrap();
-        if n_steps == N_DRAWS - 1 {
+        if draw == N_DRAWS - 1 {
             drawn.action.choices[1] = drawn.action.choices[0];
             drawn.slots[1] = None;
         }
@@ -467,7 +466,7 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
         actions.push((drawn.action, drawn.slots, rows, log_prob, entropy));
     }
     assert!(actions.iter().any(|(_, _, rows, ..)| rows.second.len() > 1));
-    let order: Vec<usize> = (0..usize::from(N_DRAWS)).rev().collect();
+    let order: Vec<usize> = (0..N_DRAWS).rev().collect();
     let draws: Vec<&ActionRows> = order.iter().map(|&k| &actions[k].2).collect();
     let tensors = |device: &Device| {
         let plain: Vec<&Action> = order.iter().map(|&k| &actions[k].0).collect();
@@ -477,9 +476,8 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
     let actions_of = &actions;
     let loss = |output: &policy::NetworkOutput| {
         let actions = tensors(&tracked);
-        let form = JointForm::ChosenUnique;
-        let log_prob = loss_terms::log_prob(output, &actions, form);
-        let entropy = loss_terms::entropy(output, actions.draws.as_ref(), form);
+        let log_prob = loss_terms::log_prob(output, &actions);
+        let entropy = loss_terms::entropy(output, actions.draws.as_ref());
         for (part, values) in [entropy.blocks.clone(), entropy.moves.clone()].into_iter().enumerate() {
             for (found, &k) in values.into_data().try_to_vec::<f32>().unwrap().iter().zip(&order) {
                 let on_slices = actions_of[k].4[part];

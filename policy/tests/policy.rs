@@ -10,7 +10,6 @@ use policy::normalization::FeatureMoments;
 use policy::parameters::{self, Initializer};
 use policy::{
     BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig, ResnetConfig,
-    ScaleConfig,
 };
 use proto::{
     ActionMode, Agent, CanonicalSettings, Decision, Gripper, Joint, Normalization, Observation, Pose, Scene, Weights,
@@ -73,7 +72,7 @@ fn scenes(seeds: &[u64]) -> Vec<Scene> {
 
 /// The scenes, each with the first goal of the catalog.
 fn observations(scenes: &[Scene]) -> Vec<Observation<'_>> {
-    scenes.iter().map(|scene| Observation { scene, blueprint: blueprint(), n_steps: 0 }).collect()
+    scenes.iter().map(|scene| Observation { scene, blueprint: blueprint() }).collect()
 }
 
 /// Acts in the scenes of these seeds, each with its own generator.
@@ -200,7 +199,7 @@ fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
     let joint = |a, b| Joint { a, b, relative };
     let mut batch = FeatureBatch::new(&small().features);
     let scene = Scene { joints: vec![joint(strays[0], inside), joint(strays[1], strays[2])], ..scene(1) };
-    batch.push(&Observation { scene: &scene, blueprint: blueprint(), n_steps: 0 });
+    batch.push(&Observation { scene: &scene, blueprint: blueprint() });
     let allowed = BlockIdx::all().filter(|block| batch.allowed[block.get()]);
     assert!(allowed.eq(BlockIdx::all().filter(|block| blueprint().contains(*block) || strays.contains(block))));
 }
@@ -242,33 +241,6 @@ fn values_come_back_in_reward_units() {
     scaled.normalization.value_std = 3.0;
     policy.load(&scaled).unwrap();
     assert!((values(&mut policy, &[1])[0] - (raw * 3.0 - 2.0)).abs() < 1e-5);
-}
-
-#[test]
-fn a_grip_holds_for_its_steps_and_then_another_block_may_be_chosen() {
-    let config = PolicyConfig { grip_steps: 3, ..small() };
-    let blocks: Vec<BlockIdx> = BlockIdx::all().collect();
-    let mut scene = scene(1);
-    scene.grippers[0].as_mut().unwrap().held = Some(blocks[5]);
-    scene.grippers[1].as_mut().unwrap().held = None;
-    let mut batch = FeatureBatch::new(&config.features);
-    for n_steps in 0..4 {
-        batch.push(&Observation { scene: &scene, blueprint: blueprint(), n_steps });
-    }
-    assert_eq!((config.choosable(&batch, 0), config.choosable(&batch, 3)), (None, None));
-    let [first, second] = config.choosable(&batch, 1).unwrap();
-    assert_eq!(first, std::array::from_fn(|block| block == 5));
-    // The second gripper holds nothing, so it may choose any block.
-    assert_eq!(second, [true; N_BLOCKS]);
-
-    let mut policy = Policy::new(&config).unwrap();
-    let mut choices = |n_steps: u16, seed: u64| {
-        let seen = Observation { scene: &scene, blueprint: blueprint(), n_steps };
-        let decisions = policy.act(&[seen], &[ActionMode::Sampled], &mut [ChaCha8Rng::seed_from_u64(seed)]).unwrap();
-        decisions[0].action.choices[0].unwrap().get()
-    };
-    assert!((0..20).all(|seed| choices(2, seed) == 5));
-    assert!((0..20).any(|seed| choices(3, seed) != 5));
 }
 
 #[test]
@@ -334,11 +306,9 @@ fn initial_values_follow_haiku() {
 
 #[test]
 fn the_initial_standard_deviation_is_as_configured() {
-    for (init_std, max_std, expected) in
-        [(None, None, 2.0_f32.ln()), (Some(0.5), None, 0.5), (Some(0.5), Some(1.0), 0.5), (Some(0.05), Some(0.3), 0.05)]
-    {
+    for (init_std, expected) in [(None, 2.0_f32.ln()), (Some(0.5), 0.5), (Some(0.05), 0.05)] {
         let mut config = small();
-        config.network.scale = ScaleConfig { init_std, max_std, ..ScaleConfig::default() };
+        config.network.init_std = init_std;
         config.validate().unwrap();
         let decisions = act(&mut Policy::new(&config).unwrap(), &(0..200).collect::<Vec<_>>());
         let squares: Vec<f32> =
@@ -351,22 +321,14 @@ fn the_initial_standard_deviation_is_as_configured() {
 #[test]
 fn bad_settings_name_the_field_and_the_range() {
     type Spoil = fn(&mut PolicyConfig);
-    let cases: [(Spoil, &str); 6] = [
+    let cases: [(Spoil, &str); 4] = [
         (
             |c| c.network.encoder = EncoderConfig::Resnet(ResnetConfig { hidden: 8192, n_blocks: 32 }),
             "the number of parameters of policy.network = 4303880192: expected at most 25165824: make it smaller",
         ),
-        (|c| c.network.n_grippers = 3, "policy.network.n_grippers = 3: expected 1..=2"),
         (|c| c.network.width = 0, "policy.network.width = 0: expected 1..=1024"),
-        (|c| c.features.n_grippers = 1, "policy.features.n_grippers = 1: expected 2, as policy.network.n_grippers"),
-        (
-            |c| c.network.scale.max_std = Some(-1.0),
-            "policy.network.scale.max_std = -1: expected above 0.000001 and at most 10",
-        ),
-        (
-            |c| c.network.scale.init_std = Some(0.0),
-            "policy.network.scale.init_std = 0: expected above 0.000001 and below 10",
-        ),
+        (|c| c.features.n_grippers = 3, "policy.features.n_grippers = 3: expected 1..=2"),
+        (|c| c.network.init_std = Some(0.0), "policy.network.init_std = 0: expected above 0.000001 and at most 10"),
     ];
     for (spoil, message) in cases {
         let mut config = PolicyConfig::default();

@@ -12,8 +12,6 @@ pub struct Observation<'a> {
     pub scene: &'a Scene,
     /// The goal, permuted by the episode's assignment.
     pub blueprint: &'a Blueprint,
-    /// Steps since the episode began.
-    pub n_steps: u16,
 }
 
 /// An action with its log-probability and the agent's value estimate.

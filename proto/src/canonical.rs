@@ -15,7 +15,7 @@ const MAX_BYTES: usize = 1 << 16;
 /// Maximum number of characters of a value shown in an error.
 const MAX_SHOWN_CHARS: usize = 80;
 
-/// Settings by full key, such as `policy.grip_steps`; a value is JSON. Settings that are not set are absent.
+/// Settings by full key, such as `policy.mask`; a value is JSON. Settings that are not set are absent.
 ///
 /// The text form is one line `key = value` per setting, sorted by key.
 ///

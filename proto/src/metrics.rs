@@ -121,7 +121,7 @@ pub struct PpoMetrics {
     pub n_gradient_steps: u64,
     /// Gradient steps skipped because the gradient was not finite.
     pub n_skipped_steps: u64,
-    /// Epochs run; fewer than configured if the KL divergence exceeded its limit.
+    /// Passes over the batch.
     pub n_epochs: u64,
     /// Mean of the value targets, reward units.
     pub value_mean: f64,

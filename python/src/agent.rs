@@ -12,7 +12,7 @@ use policy::features::N_EDGES;
 use policy::proposals::Proposals;
 use policy::{FeatureBatch, FeatureSizes, MoveHead};
 use proto::codec::MAX_WEIGHTS_BYTES;
-use proto::{ActionMode, Decision, N_GRIPPERS};
+use proto::{ActionMode, Decision};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyAnyMethods, PyBytes, PyType};
@@ -194,8 +194,6 @@ enum PolicyError {
     Policy(#[from] policy::PolicyError),
     #[error(transparent)]
     Features(#[from] serde_json::Error),
-    #[error("it keeps a grip for {0} steps (policy.grip_steps), and features do not tell which step it is")]
-    Grip(u16),
 }
 
 impl Policy {
@@ -206,14 +204,11 @@ impl Policy {
 
     fn from_bytes(file: Cow<'static, [u8]>) -> Result<Self, PolicyError> {
         let Model { config, weights } = Model::read(&file)?;
-        if config.grip_steps != 1 {
-            return Err(PolicyError::Grip(config.grip_steps));
-        }
         let policy = policy::Policy::with_weights(&config, &weights)?;
         let batch = FeatureBatch::of_policy(&config);
         Ok(Self {
             sizes: config.sizes(),
-            n_grippers: usize::from(config.network.n_grippers),
+            n_grippers: usize::from(config.features.n_grippers),
             is_mixture: config.network.move_head == MoveHead::Mixture,
             features: serde_json::to_string(&config.features)?,
             version: weights.version.0,
@@ -245,9 +240,6 @@ impl Actor {
         self.batch.edges.extend_from_slice(edges);
         self.batch.globals.extend_from_slice(globals);
         edges.chunks_exact(N_EDGES * edge).for_each(|edges| self.batch.allowed.extend(allowed(edges, edge)));
-        // These only matter to a policy with `grip_steps` above 1, which `from_bytes` rejects.
-        self.batch.held.resize(n, [None; N_GRIPPERS]);
-        self.batch.n_steps.resize(n, 0);
         self.batch.proposals = proposals;
         self.grow(n);
         self.policy.act_on(&mut self.batch, &vec![mode; n], &mut self.rngs[..n])

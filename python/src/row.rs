@@ -159,7 +159,7 @@ impl Row {
     pub(crate) fn proposals(&mut self) -> &Proposals {
         let Self { world, opening, status, proposals, .. } = self;
         let scene = if *status == Status::Diverged { opening } else { world.scene() };
-        let make = || Proposals::new(&Observation { scene, blueprint: world.blueprint(), n_steps: world.n_steps() });
+        let make = || Proposals::new(&Observation { scene, blueprint: world.blueprint() });
         proposals.get_or_insert_with(make)
     }
 

@@ -50,7 +50,7 @@ def network(golden: dict[str, Any]) -> GraphNetwork:
     """Builds the network of a golden file in float32."""
     info = golden["info"]
     sizes = {"node": info["node_dim"], "edge": info["edge_dim"], "global_": info["global_dim"]}
-    made = GraphNetwork(Config(**sizes, attention=info["kind"] == "gat", self_edges=info["self_edges"]))
+    made = GraphNetwork(Config(**sizes, attention=info["kind"] == "gat"))
     shapes = {name: list(value.shape) for name, value in made.state_dict().items()}
     assert shapes == golden["shapes"], "names and shapes of the parameters"
     values = {}
@@ -117,26 +117,24 @@ def native(policy: Policy, action: str = "native") -> Any:
 
 
 def _untrained(sizes: dict[str, int], is_mixture: bool) -> Policy:
-    encoder = {"attention": True, "self_edges": False, "n_layers": 2, "n_heads": 2, "head_dim": 8, "mlp_hidden": 32}
+    encoder = {"attention": True, "n_layers": 2, "n_heads": 2, "head_dim": 8, "mlp_hidden": 32}
     made = GraphNetwork(Config(**sizes, **encoder, width=32, value_hidden=(16,), mixture=is_mixture))
     with torch.no_grad():
         for name, value in made.named_parameters():
             numbers = generate(name, 1, value.numel()).reshape(value.shape)
             value += torch.from_numpy(numbers * min(0.5, 2.0 / np.sqrt(value.shape[0])))
     n_grippers = sizes["n_grippers"]
-    network = {"encoder": {"kind": "gat", **encoder}, "width": 32, "n_grippers": n_grippers, "value_hidden": [16]}
-    network |= {"scale": {"init_std": None, "max_std": None, "floor": 1e-6}}
+    network = {"encoder": {"kind": "gat", **encoder}, "width": 32, "value_hidden": [16], "init_std": None}
     network |= {"move_head": "mixture"} if is_mixture else {}
     flags = ("up_axis", "membership", "block_shape", "needed_moves")
     features = {**dict.fromkeys(flags, not is_mixture), "n_grippers": n_grippers}
     policy = {"network": network, "features": features, "mask": "blueprint" if is_mixture else "none"}
-    policy |= {"joint_form": "chosen-unique"}
     table = [{"name": name, "shape": list(value.shape)} for name, value in made.state_dict().items()]
     header = {
         "format_version": 4,
         "weights_version": 7,
         "n_env_steps": 0,
-        "policy": {**policy, "grip_steps": 1},
+        "policy": policy,
         "settings": [],
         "digest": digest(table, made.state_dict()),
         "table": table,

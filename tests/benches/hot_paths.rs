@@ -77,7 +77,7 @@ fn features(rounds: usize) {
     let mut batch = FeatureBatch::new(&FeatureConfig::default());
     for _ in 0..rounds {
         batch.clear();
-        scenes.iter().for_each(|scene| batch.push(&Observation { scene, blueprint: &blueprint, n_steps: 0 }));
+        scenes.iter().for_each(|scene| batch.push(&Observation { scene, blueprint: &blueprint }));
         black_box(&batch);
     }
 }
@@ -86,7 +86,7 @@ fn network() -> (CpuNetwork, FeatureBatch) {
     let (scenes, blueprint) = scenes();
     let config = FeatureConfig::default();
     let mut batch = FeatureBatch::new(&config);
-    scenes.iter().for_each(|scene| batch.push(&Observation { scene, blueprint: &blueprint, n_steps: 0 }));
+    scenes.iter().for_each(|scene| batch.push(&Observation { scene, blueprint: &blueprint }));
     let sizes = FeatureSizes::new(&config);
     let network = Network::init(&NetworkConfig::default(), &sizes, 0, &Device::flex());
     let layout = NetworkLayout::new(&NetworkConfig::default(), &sizes, network.table()).unwrap();

@@ -80,7 +80,7 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (
             with_file,
             Some("[environment]\nn_grippers = 1"),
-            &["environment.n_grippers = 1: expected 2", "policy.network.n_grippers"],
+            &["environment.n_grippers = 1: expected 2", "policy.features.n_grippers"],
         ),
         (with_file, Some("base = \"papr\""), &["papr", "did you mean `paper`"]),
         (

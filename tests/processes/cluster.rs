@@ -135,7 +135,6 @@ fn an_actor_with_other_settings_than_the_learner_ends_and_names_the_first() {
     let _learner = cluster.member("learner", &["--run-dir", "run"]);
     for (set, difference) in [
         ("policy.mask=none", r#"policy.mask is "blueprint" there and "none" here"#),
-        ("policy.grip_steps=7", "policy.grip_steps is 1 there and 7 here"),
         ("environment.magnets.snap_gap_m=0.02", "environment.magnets.snap_gap_m is 0.03 there and 0.02 here"),
     ] {
         let mut actor = command(cluster.folder.path());

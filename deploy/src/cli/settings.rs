@@ -210,7 +210,6 @@ mod tests {
         let mut expected = preset("laptop");
         expected.bus.run = "single-gripper".to_owned();
         expected.environment.n_grippers = 1;
-        expected.policy.network.n_grippers = 1;
         expected.policy.features.n_grippers = 1;
         assert_eq!((&settings.config, settings.preset), (&expected, None));
         assert_eq!(settings.source, "the preset `laptop`, with the ablation `single-gripper`");

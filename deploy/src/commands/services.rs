@@ -10,7 +10,7 @@ use bus::{Bus, BusError};
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
-use learner::{Feed, LearnerSetup, RunOptions};
+use learner::{Feed, LearnerSetup, RunOptions, SAVE_RETRY};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use proto::{ActorId, Role, Weights};
 use runlog::{Pass, RunPaths};
@@ -374,7 +374,7 @@ pub(super) fn run_options(
     told: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
     let (run_dir, max_env_steps) = (run_dir.paths().clone(), Some(config.n_env_steps));
-    RunOptions { setup, run_dir, resume, max_env_steps, feed: None, told }
+    RunOptions { setup, run_dir, resume, max_env_steps, feed: None, told, save_retry: SAVE_RETRY }
 }
 
 /// Steps worlds in turns with the learner.

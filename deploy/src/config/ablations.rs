@@ -28,7 +28,7 @@ pub const ABLATIONS: &[Ablation] = &[
     Ablation {
         name: "single-gripper",
         about: "one gripper",
-        settings: &["environment.n_grippers=1", "policy.network.n_grippers=1", "policy.features.n_grippers=1"],
+        settings: &["environment.n_grippers=1", "policy.features.n_grippers=1"],
     },
     Ablation {
         name: "no-curriculum",

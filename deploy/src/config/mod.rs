@@ -133,9 +133,9 @@ impl Config {
         self.bus.validate().map_err(|error| error.to_string())?;
         self.evaluator.validate().map_err(|error| error.to_string())?;
         self.dashboard.validate().map_err(|error| error.to_string())?;
-        let (worlds, network) = (self.environment.n_grippers, self.policy.network.n_grippers);
-        if worlds != network {
-            return Err(format!("environment.n_grippers = {worlds}: expected {network}, as policy.network.n_grippers"));
+        let (worlds, policy) = (self.environment.n_grippers, self.policy.features.n_grippers);
+        if worlds != policy {
+            return Err(format!("environment.n_grippers = {worlds}: expected {policy}, as policy.features.n_grippers"));
         }
         Ok(())
     }
@@ -178,10 +178,10 @@ mod tests {
 
     #[test]
     fn numbers_are_written_as_they_were_given() {
-        let text = Config::parse("[learner.loss]\nclip = 0.04\n[learner.normalization]\nvalue_rate = 0.1", "file")
-            .unwrap()
-            .to_toml();
-        assert!(text.contains("clip = 0.04\n") && text.contains("value_rate = 0.1\n"), "{text}");
+        // One in 32 bits, and one in 64.
+        let file = "[learner.loss]\nclip = 0.04\n[learner.curriculum]\nkind = \"paper\"\ntemperature = 0.1";
+        let text = Config::parse(file, "file").unwrap().to_toml();
+        assert!(text.contains("clip = 0.04\n") && text.contains("temperature = 0.1\n"), "{text}");
         // Nine significant digits identify every 32-bit number, so a longer fraction means that one was widened to 64
         // bits.
         let has_many = |line: &&str| line.split_once('.').is_some_and(|(_, rest)| rest.len() > 10);

@@ -68,7 +68,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
 fn play(selector: &EpisodeSelector, scene: &Scene, acting: ActionMode, end: End) -> bool {
     let selector: &dyn EpisodeObserver<(), Record = Recording> = selector;
     let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
-    let seen = Observation { scene, blueprint: blueprint(), n_steps: 0 };
+    let seen = Observation { scene, blueprint: blueprint() };
     let place = Place { sequence_idx: 0, episode_idx: 0 };
     let Some(mut recording) = selector.begin(place, &spec, acting, seen) else { return false };
     let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };

@@ -42,10 +42,6 @@ impl Env for Toy {
     fn blueprint(&self) -> &Blueprint {
         &self.blueprint
     }
-
-    fn n_steps(&self) -> u16 {
-        0
-    }
 }
 
 fn goal() -> &'static Blueprint {

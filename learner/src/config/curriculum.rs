@@ -22,8 +22,6 @@ settings! {
     /// enough.
     #[derive(Copy)]
     pub struct ReverseConfig {
-        /// Weight of one episode in the success rate.
-        pub tau: f64 = 0.05, in above_to(0.0, 1.0);
         /// Success rate at which one more block is removed.
         pub gate: f64 = 0.7, in above_to(0.0, 1.0);
     }
@@ -33,30 +31,18 @@ settings! {
 
     /// Settings of the paper's curriculum.
     pub struct PaperConfig {
-        /// Weight of one episode in a blueprint's success rate.
-        pub tau: f64 = 0.2, in above_to(0.0, 1.0);
         /// Temperature of the softmax over failure rates.
         pub temperature: f64 = 0.5, in above(0.0);
-        /// Factor applied to all success rates once per batch, so that no blueprint is forgotten.
-        pub decay: f64 = 0.99, in above_to(0.0, 1.0);
-        /// Finished episodes per batch, which sets the strength of the decay.
-        pub episodes_per_batch: usize = 64, in 1..=65536;
     }
 
     /// Settings of the learnability curriculum.
     pub struct LearnabilityConfig {
-        /// Weight of one episode in a blueprint's success rate.
-        pub tau: f64 = 0.05, in above_to(0.0, 1.0);
         /// Share of goals drawn uniformly from all blueprints.
         pub uniform: f64 = 0.15, in above_to(0.0, 1.0);
-        /// Finished episodes between updates of the probabilities.
-        pub episodes_per_batch: usize = 64, in 1..=65536;
     }
 
     /// Settings of the widening curriculum.
     pub struct WideningConfig {
-        /// Weight of one episode in a blueprint's success rate.
-        pub tau: f64 = 0.2, in above_to(0.0, 1.0);
         /// Largest number of blocks in use at first.
         pub first_size: usize = 4, in 2..=N_BLOCKS;
         /// Mean success rate that blueprints with `first_size` blocks, and with each larger number in use, must reach
@@ -65,19 +51,5 @@ settings! {
         /// Share of draws, within one number of blocks, in which blueprints are drawn in proportion to their failure
         /// rates; in the others, all are equally likely.
         pub failures: f64 = 0.0, in 0.0..=1.0;
-        /// Finished episodes between updates of the probabilities.
-        pub episodes_per_batch: usize = 64, in 1..=65536;
-    }
-}
-
-impl CurriculumConfig {
-    /// Returns the number of finished episodes between updates of the probabilities.
-    pub(crate) fn episodes_per_batch(&self) -> usize {
-        match self {
-            Self::Uniform(_) => 1,
-            Self::Paper(paper) => paper.episodes_per_batch,
-            Self::Learnability(learnability) => learnability.episodes_per_batch,
-            Self::Widening(widening) => widening.episodes_per_batch,
-        }
     }
 }

@@ -1,6 +1,6 @@
 //! Settings of the PPO objective.
 
-use proto::setting::{above, above_to};
+use proto::setting::above_to;
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
@@ -11,9 +11,6 @@ settings! {
     pub struct LossConfig {
         /// Probability ratios beyond 1 ± this are clipped.
         pub clip: f32 = 0.2, in above_to(0.0, 1.0);
-        /// Clip range of the value's change, in units of the normalized value; `None`, the default, disables clipping,
-        /// which hurts.
-        pub value_clip: Option<f32> = None, in above(0.0);
         /// Weight of the value loss.
         pub value_coefficient: f32 = 0.5, in 0.0..;
         /// Weight of the entropy of the block choice, nats. Below 0, it makes the policy decisive, so that greedy
@@ -23,8 +20,6 @@ settings! {
         pub move_entropy: Schedule = Schedule::Constant(1e-4), in -1.0..=1.0;
         /// Reference policy of the probability ratio.
         pub objective: Objective = Objective::Decoupled;
-        /// Maximum importance weight of a sample with the decoupled objective.
-        pub max_behavior_weight: f32 = 2.0, in 1.0..;
     }
 }
 
@@ -44,8 +39,6 @@ pub enum Objective {
 pub struct LossTerms {
     /// See [`LossConfig::clip`].
     pub clip: f32,
-    /// See [`LossConfig::value_clip`].
-    pub value_clip: Option<f32>,
     /// See [`LossConfig::value_coefficient`].
     pub value_coefficient: f32,
     /// See [`LossConfig::block_entropy`].
@@ -59,7 +52,6 @@ impl LossConfig {
     pub fn at(&self, n_env_steps: u64) -> LossTerms {
         LossTerms {
             clip: self.clip,
-            value_clip: self.value_clip,
             value_coefficient: self.value_coefficient,
             block_entropy: self.block_entropy.at(n_env_steps),
             move_entropy: self.move_entropy.at(n_env_steps),

@@ -46,8 +46,6 @@ pub(super) struct Targets<'a> {
     pub(super) weights: Vec<f32>,
     /// Normalized advantages.
     pub(super) advantages: Vec<f32>,
-    /// Values before the update, normalized.
-    pub(super) old_values: Vec<f32>,
     /// Returns, normalized.
     pub(super) value_targets: Vec<f32>,
 }
@@ -127,7 +125,7 @@ impl Passes {
                     let actions = self.actions(batch, &rows[..n_samples], &self.device);
                     let mut output = head_of(&self.tensors(&outputs, &self.device), n_samples);
                     self.mask(&mut output, &batch.features, &rows[..n_samples]);
-                    (to_vec(loss_terms::log_prob(&output, &actions, self.policy.joint_form)), Vec::new())
+                    (to_vec(loss_terms::log_prob(&output, &actions)), Vec::new())
                 }
             }
         };
@@ -160,15 +158,13 @@ impl Passes {
             let values: Vec<f32> = samples.iter().map(|&sample| values[sample]).collect();
             Tensor::<1>::from_data(TensorData::new(values, [samples.len()]), device)
         };
-        let form = self.policy.joint_form;
         let actions = self.actions(batch, samples, device);
-        let log_prob = loss_terms::log_prob(&output, &actions, form);
+        let log_prob = loss_terms::log_prob(&output, &actions);
         let (weight, advantage) = (column(&targets.weights), column(&targets.advantages));
         let policy = policy_loss(log_prob.clone(), column(targets.reference), weight, advantage, config.clip).sum();
-        let entropy = loss_terms::entropy(&output, actions.draws.as_ref(), form);
+        let entropy = loss_terms::entropy(&output, actions.draws.as_ref());
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
-        let (old, target) = (column(&targets.old_values), column(&targets.value_targets));
-        let value = value_loss(values, old, target, config.value_clip).sum();
+        let value = value_loss(values, column(&targets.value_targets)).sum();
         let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
         let loss = value.clone() * config.value_coefficient + (policy.clone() - entropies);
         let parts = vec![policy, value, blocks, moves];
@@ -180,7 +176,7 @@ impl Passes {
     }
 
     fn tensors(&self, outputs: &Outputs, device: &Device) -> NetworkOutput {
-        outputs.to_tensors(usize::from(self.policy.network.n_grippers), device)
+        outputs.to_tensors(usize::from(self.policy.features.n_grippers), device)
     }
 
     /// Masks the logits as configured.
@@ -190,7 +186,7 @@ impl Passes {
     }
 
     fn actions(&self, batch: &Batch, samples: &[usize], device: &Device) -> ActionTensors {
-        let n_grippers = usize::from(self.policy.network.n_grippers);
+        let n_grippers = usize::from(self.policy.features.n_grippers);
         let actions = ActionTensors::new(samples.iter().map(|&sample| &batch.actions[sample]), n_grippers, device);
         let Some(draws) = &batch.draws else { return actions };
         let drawn = samples.iter().map(|&sample| (&draws[sample].slots, &draws[sample].rows));
@@ -206,7 +202,7 @@ impl Passes {
         samples: &[usize],
         outputs: &Outputs,
     ) -> (Vec<f32>, Vec<[f32; 3]>) {
-        let per_scene = usize::from(self.policy.network.n_grippers) * N_BLOCKS;
+        let per_scene = usize::from(self.policy.features.n_grippers) * N_BLOCKS;
         let row = |(at, &sample): (usize, &usize)| {
             let mut logits = outputs.logits[at * per_scene..(at + 1) * per_scene].to_vec();
             if let Some(allowed) = self.policy.choosable(&batch.features, sample) {

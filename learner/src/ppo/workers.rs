@@ -7,6 +7,7 @@ use burn::tensor::Device;
 use policy::parameters::ParameterError;
 use policy::{Engine, PolicyConfig};
 
+use super::PIECE_SIZE;
 use super::passes::{Evaluation, GradientPass, Passes, Targets};
 use crate::batch::Batch;
 
@@ -58,11 +59,11 @@ impl Workers {
         loaded.into_iter().collect()
     }
 
-    /// Computes the values of all rows and the log-probabilities of all actions, in pieces of about `size` rows.
-    pub(super) fn evaluate(&mut self, batch: &Batch, size: usize) -> Evaluation {
+    /// Computes the values of all rows and the log-probabilities of all actions, in pieces.
+    pub(super) fn evaluate(&mut self, batch: &Batch) -> Evaluation {
         let rows: Vec<usize> = (0..batch.features.n).collect();
         let mut whole = Evaluation::default();
-        for piece in self.map(&pieces(&rows, size), |passes, rows, _| passes.evaluate(batch, rows)) {
+        for piece in self.map(&pieces(&rows, PIECE_SIZE), |passes, rows, _| passes.evaluate(batch, rows)) {
             whole.values.extend(piece.values);
             whole.log_probs.extend(piece.log_probs);
             whole.entropies.extend(piece.entropies);
@@ -71,27 +72,20 @@ impl Workers {
     }
 
     /// Computes the log-probabilities of the actions of the samples in `rows`, which must be ascending.
-    pub(super) fn log_probs(&mut self, batch: &Batch, rows: &[usize], size: usize) -> Vec<f32> {
-        self.map(&pieces(rows, size), |passes, rows, _| passes.evaluate(batch, rows).log_probs).concat()
+    pub(super) fn log_probs(&mut self, batch: &Batch, rows: &[usize]) -> Vec<f32> {
+        self.map(&pieces(rows, PIECE_SIZE), |passes, rows, _| passes.evaluate(batch, rows).log_probs).concat()
     }
 
-    /// Computes the values of all rows, in pieces of about `size` rows.
-    pub(super) fn values(&mut self, batch: &Batch, size: usize) -> Vec<f32> {
+    /// Computes the values of all rows, in pieces.
+    pub(super) fn values(&mut self, batch: &Batch) -> Vec<f32> {
         let rows: Vec<usize> = (0..batch.features.n).collect();
-        self.map(&pieces(&rows, size), |passes, rows, _| passes.values(batch, rows)).concat()
+        self.map(&pieces(&rows, PIECE_SIZE), |passes, rows, _| passes.values(batch, rows)).concat()
     }
 
-    /// Computes gradients of the mean loss of `samples`, one for each piece of about `size` samples; their sum is the
-    /// whole gradient.
-    pub(super) fn gradients(
-        &mut self,
-        batch: &Batch,
-        samples: &[usize],
-        size: usize,
-        targets: &Targets<'_>,
-    ) -> Vec<GradientPass> {
+    /// Computes gradients of the mean loss of `samples`, one for each piece; their sum is the whole gradient.
+    pub(super) fn gradients(&mut self, batch: &Batch, samples: &[usize], targets: &Targets<'_>) -> Vec<GradientPass> {
         let share = 1.0 / samples.len() as f32;
-        self.map(&pieces(samples, size), |passes, piece, spares| {
+        self.map(&pieces(samples, PIECE_SIZE), |passes, piece, spares| {
             passes.gradient(batch, piece, targets, share, spares.take())
         })
     }

@@ -71,7 +71,7 @@ impl Worker {
         let Err(mut error) = self.save() else { return };
         let pulse = self.pulse.clone();
         let _waiting = pulse.waiting();
-        let pause = Duration::from_secs_f64(self.options.setup.config.checkpoints.retry_s);
+        let pause = self.options.save_retry;
         let mut told: Option<String> = None;
         loop {
             let reason = format!("{error:#}");

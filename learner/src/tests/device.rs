@@ -15,7 +15,6 @@ fn setup(move_head: MoveHead) -> LearnerSetup {
     setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
     setup.config.n_epochs = 1;
     setup.config.minibatch_size = 256;
-    setup.config.forward_size = 256;
     setup
 }
 

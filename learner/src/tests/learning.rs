@@ -12,6 +12,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{FixedRate, LearnerConfig, Objective, RateRule};
 use crate::fixtures::{blueprint_id, random_trajectory};
+use crate::ppo::PIECE_SIZE;
 use crate::{Learner, LearnerSetup, Model};
 
 /// Returns a setup with a network like the paper's, but small enough for tests that take seconds.
@@ -19,8 +20,7 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 2, head_dim: 16, mlp_hidden: 32, ..Default::default() });
     let network = NetworkConfig { encoder, width: 16, value_hidden: vec![32], ..NetworkConfig::default() };
-    let config =
-        LearnerConfig { steps_per_update: 256, minibatch_size: 64, forward_size: 64, ..LearnerConfig::default() };
+    let config = LearnerConfig { steps_per_update: 256, minibatch_size: 64, ..LearnerConfig::default() };
     LearnerSetup {
         config,
         policy: PolicyConfig { network, ..PolicyConfig::default() },
@@ -43,7 +43,7 @@ pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();
     let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
     let scenes: Vec<Scene> = trajectories.iter().map(|t| t.transitions[0].scene.clone()).collect();
-    let observations: Vec<_> = scenes.iter().map(|scene| Observation { scene, blueprint, n_steps: 0 }).collect();
+    let observations: Vec<_> = scenes.iter().map(|scene| Observation { scene, blueprint }).collect();
     let mut rngs = vec![ChaCha8Rng::from_rng(rng); n];
     for (i, action_rng) in rngs.iter_mut().enumerate() {
         action_rng.set_stream(i as u64);
@@ -119,10 +119,10 @@ fn weights_are_independent_of_the_number_of_threads() {
     let weights = |n_threads| {
         let mut setup = small_setup(1);
         // Four pieces per minibatch, which three threads cannot share evenly.
-        setup.config.forward_size = 16;
+        (setup.config.steps_per_update, setup.config.minibatch_size) = (4 * PIECE_SIZE, 4 * PIECE_SIZE);
         setup.config.n_threads = Some(n_threads);
         let mut learner = Learner::new(setup.clone()).unwrap();
-        let trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
+        let trajectories = bandit(&setup, &learner.weights(), 4 * PIECE_SIZE, &mut ChaCha8Rng::seed_from_u64(3));
         feed(&learner, trajectories);
         learner.update().unwrap();
         learner.weights()
@@ -187,7 +187,7 @@ fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_net
     learner.update().unwrap();
     let model = Model::from(&learner.checkpoint());
     let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
-    setup.policy.network.scale.init_std = Some(0.1);
+    setup.policy.network.init_std = Some(0.1);
     let started = Learner::new(setup.clone()).unwrap();
     assert_eq!(started.weights().parameters, learner.weights().parameters);
     assert_eq!(started.weights().normalization, learner.weights().normalization);

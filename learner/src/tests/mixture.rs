@@ -174,7 +174,7 @@ fn a_learner_of_the_mixture_acts_like_its_weights() {
     let blueprint = setup.catalog.get(&crate::fixtures::blueprint_id()).unwrap();
     let scene = crate::fixtures::scene(&mut ChaCha8Rng::seed_from_u64(5));
     let mut policy = policy::Policy::with_weights(&setup.policy, &learner.weights()).unwrap();
-    let seen = Observation { scene: &scene, blueprint, n_steps: 0 };
+    let seen = Observation { scene: &scene, blueprint };
     let mut act =
         |seed| policy.act(&[seen], &[ActionMode::Sampled], &mut [ChaCha8Rng::seed_from_u64(seed)]).unwrap().remove(0);
     assert_eq!(act(1), act(1));

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use bus::{Bus, MetricsSubscriber};
 use proto::keys;
@@ -16,6 +17,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
 use crate::{CheckpointError, RunOptions, Summary, run};
+
+/// Time between attempts to save, where they should succeed at once.
+const SOON: Duration = Duration::from_millis(1);
 
 /// A learner that runs on worlds of its own.
 struct Running {
@@ -31,13 +35,13 @@ struct Running {
 
 impl Running {
     /// Starts it. `spoil` is called after the files are open and before the first step.
-    async fn start(retry_s: f64, every_updates: u64, max_env_steps: u64, spoil: fn(&RunPaths)) -> Self {
+    async fn start(save_retry: Duration, every_updates: u64, max_env_steps: u64, spoil: fn(&RunPaths)) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let bus = Bus::isolated(dir.path()).await.unwrap();
         let paths = RunPaths::new(dir.path().join("run"));
         let metrics = bus.metrics_subscriber(keys::METRICS_LEARNER).await.unwrap();
         let mut setup = small_setup(8);
-        (setup.config.checkpoints.retry_s, setup.config.checkpoints.every_updates) = (retry_s, every_updates);
+        setup.config.checkpoints.every_updates = every_updates;
         let n_fed = Arc::new(AtomicU64::new(0));
         let feed = {
             let (setup, paths, n_fed) = (setup.clone(), paths.clone(), n_fed.clone());
@@ -55,6 +59,7 @@ impl Running {
             max_env_steps: Some(max_env_steps),
             feed: Some(Box::new(feed)),
             told: tokio::sync::watch::Sender::new(None),
+            save_retry,
         };
         let shutdown = CancellationToken::new();
         let learning = tokio::spawn({
@@ -94,7 +99,7 @@ async fn nothing_is_learned_while_nothing_can_be_saved() {
         no_metrics(paths);
         no_checkpoint(paths);
     };
-    let mut running = Running::start(0.001, 1, 512, spoil).await;
+    let mut running = Running::start(SOON, 1, 512, spoil).await;
     assert_eq!(running.told().await, (1, None));
     let (n_updates, reason) = running.told().await;
     assert!(n_updates == 1 && reason.as_ref().unwrap().contains("metrics.jsonl"), "{reason:?}");
@@ -121,7 +126,7 @@ async fn nothing_is_learned_while_nothing_can_be_saved() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_last_checkpoint_waits_for_its_disk_too() {
-    let mut running = Running::start(0.001, 50, 256, no_checkpoint).await;
+    let mut running = Running::start(SOON, 50, 256, no_checkpoint).await;
     assert_eq!(running.told().await, (1, None));
     let (n_updates, reason) = running.told().await;
     assert!(n_updates == 1 && reason.as_ref().unwrap().contains(".new-256"), "{reason:?}");
@@ -134,7 +139,7 @@ async fn the_last_checkpoint_waits_for_its_disk_too() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn only_being_told_ends_a_learner_that_cannot_save() {
-    let mut running = Running::start(3600.0, 1, 512, no_checkpoint).await;
+    let mut running = Running::start(Duration::from_secs(3600), 1, 512, no_checkpoint).await;
     assert_eq!(running.told().await, (1, None));
     assert!(running.told().await.1.is_some());
     running.shutdown.cancel();

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
 use crate::config::{FixedRate, RateRule};
-use crate::{Checkpoint, CheckpointError, Diverged, Feed, LearnerSetup, RunOptions, Summary, run};
+use crate::{Checkpoint, CheckpointError, Diverged, Feed, LearnerSetup, RunOptions, SAVE_RETRY, Summary, run};
 use runlog::RunPaths;
 
 /// Sends enough trajectories for one update with each of the next `n_updates` weights.
@@ -43,7 +43,15 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
 /// Returns the options of a new run without end in `dir`.
 fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
     let told = watch::channel(None).0;
-    RunOptions { setup, run_dir: dir.clone(), resume: None, max_env_steps: None, feed: None, told }
+    RunOptions {
+        setup,
+        run_dir: dir.clone(),
+        resume: None,
+        max_env_steps: None,
+        feed: None,
+        told,
+        save_retry: SAVE_RETRY,
+    }
 }
 
 /// Runs a learner in `dir` until an actor has received `n_updates` updates.

@@ -3,6 +3,7 @@
 use super::ops::Normalized;
 use super::spans::Shape;
 use crate::FeatureBatch;
+use crate::features::N_EDGES;
 use crate::network::listed_index;
 
 /// Number of nodes of a graph.
@@ -72,8 +73,7 @@ impl Activations {
         self.edges.resize(rows.len() * N * N * ed, 0.0);
         self.edges_t.resize(rows.len() * N * N * ed, 0.0);
         self.layers.resize_with(shape.gat.n_layers, LayerActivations::default);
-        let per_graph = batch.edges.len() / batch.n;
-        let self_edges = per_graph == N * N * ed;
+        let per_graph = N_EDGES * ed;
         for (graph, &row) in rows.iter().enumerate() {
             for node in batch.nodes[row * N * nd..(row + 1) * N * nd].chunks_exact(nd) {
                 self.raw.extend_from_slice(node);
@@ -86,7 +86,7 @@ impl Activations {
             let receivers = edges.chunks_exact_mut(N * ed).zip(edges_t.chunks_exact_mut(N * ed));
             for (receiver, (edges, edges_t)) in receivers.enumerate() {
                 for (sender, edge) in edges.chunks_exact_mut(ed).enumerate() {
-                    match listed_index(sender, receiver, self_edges) {
+                    match listed_index(sender, receiver) {
                         Some(i) => edge.copy_from_slice(&listed[i * ed..(i + 1) * ed]),
                         None => edge.fill(0.0),
                     }

@@ -12,7 +12,6 @@ const N: usize = blueprints::N_BLOCKS;
 #[derive(Clone, Copy)]
 pub(super) struct Graphs<'a> {
     pub(super) n_heads: usize,
-    pub(super) self_edges: bool,
     pub(super) n: usize,
     pub(super) ed: usize,
     /// `[rows, n]`
@@ -75,8 +74,7 @@ impl WithSimd for Attend<'_> {
                 let row = graph * N + receiver;
                 let compare = &graphs.compare_edges[row * n_heads * ed..][..n_heads * ed];
                 small_product(simd, compare, &graphs.edges_t[row * ed * N..][..ed * N], ed, Base::Kept, weights);
-                let absent = (!graphs.self_edges).then_some(receiver);
-                weights.as_chunks_mut::<N>().0.iter_mut().for_each(|weights| softmax(weights, absent));
+                weights.as_chunks_mut::<N>().0.iter_mut().for_each(|weights| softmax(weights, Some(receiver)));
                 let mean = &mut mean_edges[row * n_heads * ed..][..n_heads * ed];
                 small_product(simd, weights, &graphs.edges[row * N * ed..][..N * ed], N, Base::Zero, mean);
             }

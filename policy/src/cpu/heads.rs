@@ -5,7 +5,7 @@ use super::layer::Flow;
 use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add, add_rows, dot, relu_backward, softmax};
 use super::spans::{Context, Linear, Shape};
-use crate::config::ScaleConfig;
+use crate::config::MIN_STD;
 
 /// Number of blocks.
 const N: usize = blueprints::N_BLOCKS;
@@ -61,7 +61,7 @@ pub(super) struct ValueActivations {
 impl PolicyKernels {
     pub(super) fn new(net: Context<'_>, pack: impl Fn(&[f32], [usize; 2]) -> Packed) -> Self {
         let Context { shape, spans, .. } = net;
-        let (w, g) = (shape.width, shape.n_grippers);
+        let (w, g) = (shape.width, shape.sizes.n_grippers);
         Self {
             act: spans.act.as_ref().map(|act| act.each_ref().map(|linear| pack(net.of(&linear.w), [w, MOVE]))),
             input_global: pack(net.of(&spans.input_global), [shape.sizes.global, w]),
@@ -74,7 +74,7 @@ impl PolicyKernels {
     /// Appends the outputs computed from the last layer's nodes and globals.
     pub(super) fn forward(&self, net: Context<'_>, x: &mut Activations, out: &mut Outputs) {
         let Context { arch, shape, spans, .. } = net;
-        let (w, g) = (shape.width, shape.n_grippers);
+        let (w, g) = (shape.width, shape.sizes.n_grippers);
         let rows = x.n * N;
         let (nodes, global) = x.layers.last().map_or((&x.embedded, &x.embedded_global), |l| (&l.nodes, &l.global));
         if let (Some(act), Some(kernels)) = (&spans.act, &self.act) {
@@ -84,7 +84,7 @@ impl PolicyKernels {
                 product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
             }
             let at = out.scales.len() - rows * MOVE;
-            out.scales[at..].iter_mut().for_each(|s| *s = scale(&shape.scale, *s));
+            out.scales[at..].iter_mut().for_each(|s| *s = scale(shape.std_offset, *s));
         }
         if let (Some(linear), Some(kernel)) = (&spans.proposals, &self.proposals) {
             let at = out.readouts.len();
@@ -131,7 +131,7 @@ impl PolicyKernels {
         gradient: &mut [f32],
     ) {
         let Context { arch, shape, spans, .. } = net;
-        let (w, g) = (shape.width, shape.n_grippers);
+        let (w, g) = (shape.width, shape.sizes.n_grippers);
         let rows = x.n * N;
         let nodes = x.layers.last().map_or(&x.embedded, |layer| &layer.nodes);
         flow.nodes.resize(rows * w, 0.0);
@@ -200,7 +200,7 @@ impl ValueKernels {
     /// Computes the values of all scenes; reads the choices from the logits.
     pub(super) fn forward(&self, net: Context<'_>, x: &mut ValueActivations, out: &mut Outputs) {
         let Context { arch, shape, spans, .. } = net;
-        let (w, n_choices) = (shape.width, shape.n_grippers * N);
+        let (w, n_choices) = (shape.width, shape.sizes.n_grippers * N);
         let n = out.logits.len() / n_choices;
         let [mut own, mut graph] = [vec![0.0; n * w], vec![0.0; n * w]];
         product(arch, &x.raw_global, &self.input_global, Base::Zero, false, &mut own);
@@ -268,30 +268,16 @@ impl ValueKernels {
     }
 }
 
-/// Maps the head's output to a standard deviation; see [`ScaleConfig`].
-fn scale(config: &ScaleConfig, x: f32) -> f32 {
-    let x = x + config.offset();
-    let s = x.max(0.0) + (-x.abs()).exp().ln_1p() + config.floor;
-    match config.max_std {
-        Some(max) => ((s / max).tanh() * max).max(config.floor),
-        None => s,
-    }
+/// Maps the head's output to a standard deviation, `softplus(x + offset)` plus the smallest one.
+fn scale(offset: f32, x: f32) -> f32 {
+    let x = x + offset;
+    x.max(0.0) + (-x.abs()).exp().ln_1p() + MIN_STD
 }
 
 /// Computes the gradient of the numbers from which the deviations were computed.
-pub(super) fn unscale(config: &ScaleConfig, deviations: &[f32], gradient: &[f32]) -> Vec<f32> {
-    let slope = |deviation: f32| {
-        let (bounded, unbounded) = match config.max_std {
-            // With t = s / m: d(m tanh t) / ds = 1 − tanh² t.
-            Some(max) => {
-                let ratio = (deviation / max).min(1.0);
-                if deviation <= config.floor { (0.0, deviation) } else { (1.0 - ratio * ratio, max * ratio.atanh()) }
-            }
-            None => (1.0, deviation),
-        };
-        // softplus' = sigmoid = 1 − e^−softplus.
-        bounded * -(-(unbounded - config.floor)).exp_m1()
-    };
+pub(super) fn unscale(deviations: &[f32], gradient: &[f32]) -> Vec<f32> {
+    // softplus' = sigmoid = 1 − e^−softplus.
+    let slope = |deviation: f32| -(-(deviation - MIN_STD)).exp_m1();
     deviations.iter().zip(gradient).map(|(&deviation, g)| if *g == 0.0 { 0.0 } else { g * slope(deviation) }).collect()
 }
 
@@ -301,6 +287,6 @@ fn raw_len(shape: &Shape) -> usize {
 
 /// Returns the one-hot of the block that a gripper held: the last 16 entries of its part of the raw globals.
 fn held<'a>(shape: &Shape, raw: &'a [f32], gripper: usize) -> &'a [f32] {
-    let part = raw.len() / shape.n_grippers;
+    let part = raw.len() / shape.sizes.n_grippers;
     &raw[(gripper + 1) * part - N..(gripper + 1) * part]
 }

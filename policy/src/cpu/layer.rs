@@ -92,7 +92,6 @@ impl Layer {
         product(arch, before.input, &forward.to_edge, Base::Zero, false, &mut y.compare_edges);
         let graphs = Graphs {
             n_heads: heads,
-            self_edges: shape.gat.self_edges,
             n: self.fold.n_in,
             ed: shape.sizes.edge,
             nodes: before.input,
@@ -203,7 +202,6 @@ impl Layer {
         }
         let graphs = Graphs {
             n_heads: heads,
-            self_edges: shape.gat.self_edges,
             n: n_in,
             ed,
             nodes: before.input,

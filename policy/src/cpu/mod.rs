@@ -188,7 +188,7 @@ impl CpuNetwork {
         folded.resize_with(self.layers.len(), FoldGradient::default);
         self.layers.iter().zip(&mut *folded).for_each(|(layer, folded)| layer.fold.clear(folded));
         let global = value.backward(net, of_value, &by_output.values, gradient);
-        let scales = unscale(&shape.scale, &outputs.scales, &by_output.scales);
+        let scales = unscale(&outputs.scales, &by_output.scales);
         let n_readouts = spans.proposals.as_ref().map_or(0, |linear| linear.n_out);
         let n_moves = if spans.act.is_some() { 6 } else { 0 };
         let mut done = 0;
@@ -197,7 +197,7 @@ impl CpuNetwork {
             let by_head = [
                 &by_output.locs[rows(n_moves)],
                 &scales[rows(n_moves)],
-                &by_output.logits[rows(shape.n_grippers)],
+                &by_output.logits[rows(shape.sizes.n_grippers)],
                 &by_output.readouts[rows(n_readouts)],
             ];
             done += x.n;

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use pulp::Arch;
 
-use crate::config::{EncoderConfig, GatConfig, NetworkConfig, ScaleConfig};
+use crate::config::{EncoderConfig, GatConfig, NetworkConfig};
 use crate::features::FeatureSizes;
 use crate::parameters::ParameterSpec;
 
@@ -31,8 +31,7 @@ pub(super) struct Shape {
     pub(super) n_heads: usize,
     pub(super) head_dim: usize,
     pub(super) width: usize,
-    pub(super) n_grippers: usize,
-    pub(super) scale: ScaleConfig,
+    pub(super) std_offset: f32,
 }
 
 /// A kernel `[n_in, n_out]` and its bias.
@@ -95,15 +94,7 @@ impl Shape {
         let EncoderConfig::Gat(gat) = config.encoder else { return None };
         let (n_heads, head_dim) =
             if gat.attention { (gat.n_heads, gat.head_dim) } else { (1, gat.n_heads * gat.head_dim) };
-        Some(Self {
-            sizes: *sizes,
-            gat,
-            n_heads,
-            head_dim,
-            width: config.width,
-            n_grippers: usize::from(config.n_grippers),
-            scale: config.scale,
-        })
+        Some(Self { sizes: *sizes, gat, n_heads, head_dim, width: config.width, std_offset: config.std_offset() })
     }
 
     /// Whether a layer attends to raw node features. Only the first layer's input is linear in them; it does so if they

@@ -154,15 +154,15 @@ impl GatEncoder {
         let mut global = self.embed_global.forward(batch.globals.clone());
         // One matrix of senders per receiver.
         let edges = batch.edges.clone().reshape([b * N, N, ed]);
-        let no_edge = (!self.config.self_edges).then(|| diagonal(&nodes.device()));
-        let mean_edges = (!self.config.attention).then(|| self.mean_edges(&edges));
+        let no_edge = diagonal(&nodes.device());
+        let mean_edges = (!self.config.attention).then(|| mean_edges(&edges));
         for (layer, folded) in self.layers.iter().zip(&folded.layers) {
             let residual = match (&folded.attend, &mean_edges) {
                 (Some(attend), _) => {
-                    let weights = self.weights(&nodes, &edges, attend, no_edge.as_ref());
+                    let weights = self.weights(&nodes, &edges, attend, &no_edge);
                     self.attended(&nodes, &edges, weights, folded)
                 }
-                (None, Some(mean_edges)) => self.averaged(&nodes, mean_edges, folded),
+                (None, Some(mean_edges)) => averaged(&nodes, mean_edges, folded),
                 (None, None) => unreachable!("folding gives attention exactly when the configuration has it"),
             };
             let y = layer.ln_attn.forward(nodes + residual);
@@ -178,7 +178,7 @@ impl GatEncoder {
         nodes: &Tensor<2>,
         edges: &Tensor<3>,
         [to_node, to_edge]: &[Tensor<2>; 2],
-        no_edge: Option<&Tensor<4>>,
+        no_edge: &Tensor<4>,
     ) -> Tensor<4> {
         let heads = self.config.n_heads;
         let [rows, width] = nodes.dims();
@@ -189,11 +189,7 @@ impl GatEncoder {
         let by_edge = nodes.clone().matmul(to_edge.clone()).reshape([rows, heads, ed]);
         let logits = by_node.matmul(senders.swap_dims(1, 2)).reshape([b, N, heads, N])
             + by_edge.matmul(edges.clone().swap_dims(1, 2)).reshape([b, N, heads, N]);
-        let logits = match no_edge {
-            Some(mask) => logits + mask.clone(),
-            None => logits,
-        };
-        activation::softmax(logits, 3)
+        activation::softmax(logits + no_edge.clone(), 3)
     }
 
     /// Returns the residual of all nodes, `[B·16, w]`, with these weights for the incoming edges.
@@ -209,27 +205,21 @@ impl GatEncoder {
             + mean_edges.reshape([rows, heads * ed]).matmul(folded.from_edges.clone())
             + folded.constant.clone()
     }
+}
 
-    /// Returns the residual of all nodes, `[B·16, w]`, with equal weights.
-    fn averaged(&self, nodes: &Tensor<2>, mean_edges: &Tensor<2>, folded: &FoldedLayer) -> Tensor<2> {
-        let [rows, width] = nodes.dims();
-        let each = nodes.clone().reshape([rows / N, N, width]);
-        let sum = each.clone().sum_dim(1);
-        let mean = if self.config.self_edges {
-            sum.div_scalar(N as f32).expand([rows / N, N, width])
-        } else {
-            (sum - each).div_scalar((N - 1) as f32)
-        };
-        mean.reshape([rows, width]).matmul(folded.from_nodes.clone())
-            + mean_edges.clone().matmul(folded.from_edges.clone())
-            + folded.constant.clone()
-    }
+/// Returns the residual of all nodes, `[B·16, w]`, with equal weights.
+fn averaged(nodes: &Tensor<2>, mean_edges: &Tensor<2>, folded: &FoldedLayer) -> Tensor<2> {
+    let [rows, width] = nodes.dims();
+    let each = nodes.clone().reshape([rows / N, N, width]);
+    let mean = (each.clone().sum_dim(1) - each).div_scalar((N - 1) as f32);
+    mean.reshape([rows, width]).matmul(folded.from_nodes.clone())
+        + mean_edges.clone().matmul(folded.from_edges.clone())
+        + folded.constant.clone()
+}
 
-    /// Returns the mean raw features of the incoming edges of each node, `[B·16, ed]`; absent edges are zeros.
-    fn mean_edges(&self, edges: &Tensor<3>) -> Tensor<2> {
-        let n_senders = if self.config.self_edges { N } else { N - 1 };
-        edges.clone().sum_dim(1).squeeze_dim::<2>(1).div_scalar(n_senders as f32)
-    }
+/// Returns the mean raw features of the incoming edges of each node, `[B·16, ed]`; absent edges are zeros.
+fn mean_edges(edges: &Tensor<3>) -> Tensor<2> {
+    edges.clone().sum_dim(1).squeeze_dim::<2>(1).div_scalar((N - 1) as f32)
 }
 
 impl GatLayer {

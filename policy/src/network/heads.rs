@@ -5,7 +5,7 @@ use burn::tensor::{Tensor, activation};
 
 use super::MoveTensors;
 use super::layers::{Builder, Linear, Projection};
-use crate::config::{MoveHead, NetworkConfig, ScaleConfig};
+use crate::config::{MIN_STD, MoveHead, NetworkConfig};
 use crate::features::FeatureSizes;
 use crate::mixture::N_READOUTS;
 use crate::parameters::Initializer;
@@ -26,7 +26,7 @@ pub struct PolicyHead {
     block_key: Projection,
     proposals: Option<Linear>,
     #[module(skip)]
-    scale: ScaleConfig,
+    std_offset: f32,
 }
 
 /// Maps global vectors and the block choice to the value.
@@ -39,7 +39,7 @@ pub struct ValueHead {
 
 impl PolicyHead {
     pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
-        let (width, grippers) = (config.width, usize::from(config.n_grippers));
+        let (width, grippers) = (config.width, sizes.n_grippers);
         let init = Initializer::HaikuLinear;
         let gaussian = |builder: &mut Builder<'_>, name| {
             let is_gaussian = config.move_head == MoveHead::Gaussian;
@@ -53,7 +53,7 @@ impl PolicyHead {
             block_key: builder.projection("head.block_key", [width + grippers, width], init),
             proposals: (config.move_head == MoveHead::Mixture)
                 .then(|| builder.linear("head.proposals", [width, N_READOUTS], Initializer::FanIn(0.1))),
-            scale: config.scale,
+            std_offset: config.std_offset(),
         }
     }
 
@@ -92,20 +92,15 @@ impl PolicyHead {
         Some(linear.forward(nodes.clone()).reshape([rows / N, N, N_READOUTS]))
     }
 
-    /// Maps the layer's output to standard deviations; see [`ScaleConfig`].
+    /// Maps the layer's output to standard deviations.
     fn scales(&self, x: Tensor<2>) -> Tensor<2> {
-        let s = activation::softplus(x.add_scalar(self.scale.offset()), 1.0).add_scalar(self.scale.floor);
-        match self.scale.max_std {
-            // The floor is kept: tanh only lowers, and validation ensures that `max_std` is above it.
-            Some(max) => s.div_scalar(max).tanh().mul_scalar(max).clamp_min(self.scale.floor),
-            None => s,
-        }
+        activation::softplus(x.add_scalar(self.std_offset), 1.0).add_scalar(MIN_STD)
     }
 }
 
 impl ValueHead {
     pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
-        let (width, grippers) = (config.width, usize::from(config.n_grippers));
+        let (width, grippers) = (config.width, sizes.n_grippers);
         let init = Initializer::HaikuLinear;
         let mut widths = vec![2 * width + grippers * N];
         widths.extend(&config.value_hidden);

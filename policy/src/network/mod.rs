@@ -97,7 +97,7 @@ impl Network {
         let encoder = match &config.encoder {
             EncoderConfig::Gat(gat) => Encoder::Gat(GatEncoder::build(&mut builder, gat, config.width, sizes)),
             EncoderConfig::Resnet(resnet) => {
-                Encoder::Resnet(ResnetEncoder::build(&mut builder, resnet, config.width, sizes, config.n_edges()))
+                Encoder::Resnet(ResnetEncoder::build(&mut builder, resnet, config.width, sizes))
             }
         };
         let head = PolicyHead::build(&mut builder, config, sizes);

@@ -6,7 +6,7 @@ use burn::tensor::{Tensor, activation};
 use super::BatchTensors;
 use super::layers::{Builder, LayerNorm, Linear};
 use crate::config::ResnetConfig;
-use crate::features::FeatureSizes;
+use crate::features::{FeatureSizes, N_EDGES};
 use crate::parameters::Initializer;
 
 /// Number of blocks.
@@ -32,16 +32,10 @@ struct ResidualBlock {
 }
 
 impl ResnetEncoder {
-    pub(crate) fn build(
-        builder: &mut Builder<'_>,
-        config: &ResnetConfig,
-        width: usize,
-        sizes: &FeatureSizes,
-        n_edges: usize,
-    ) -> Self {
+    pub(crate) fn build(builder: &mut Builder<'_>, config: &ResnetConfig, width: usize, sizes: &FeatureSizes) -> Self {
         let init = Initializer::HaikuLinear;
         let hidden = config.hidden;
-        let n_in = N * sizes.node + n_edges * sizes.edge + sizes.global;
+        let n_in = N * sizes.node + N_EDGES * sizes.edge + sizes.global;
         let input = builder.linear("resnet.in", [n_in, hidden], init);
         let residual = Initializer::UniformFanOut(0.333);
         let blocks = (0..config.n_blocks)

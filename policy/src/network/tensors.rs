@@ -4,6 +4,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 
 use crate::batch::FeatureBatch;
 use crate::config::{EncoderConfig, NetworkConfig};
+use crate::features::N_EDGES;
 
 /// Number of blocks.
 const N: usize = blueprints::N_BLOCKS;
@@ -13,7 +14,7 @@ const N: usize = blueprints::N_BLOCKS;
 pub enum EdgeLayout {
     /// `[B, 256, ed]`, receiver-major, zeros for self-edges: the layout that the graph encoder multiplies.
     Dense,
-    /// `[B, E, ed]` in the order of [`FeatureBatch`].
+    /// `[B, 240, ed]` in the order of [`FeatureBatch`].
     Listed,
 }
 
@@ -22,7 +23,7 @@ pub enum EdgeLayout {
 pub struct BatchTensors {
     /// `[B, 16, nd]`
     pub nodes: Tensor<3>,
-    /// `[B, 256, ed]` or `[B, E, ed]`; see [`EdgeLayout`].
+    /// `[B, 256, ed]` or `[B, 240, ed]`; see [`EdgeLayout`].
     pub edges: Tensor<3>,
     /// `[B, gd]`, gripper-major, each gripper's part ending with the one-hot of the block it held.
     pub globals: Tensor<2>,
@@ -42,9 +43,8 @@ impl BatchTensors {
     /// Copies a batch to a device.
     pub fn new(batch: &FeatureBatch, layout: EdgeLayout, device: &Device) -> Self {
         let b = batch.n;
-        let n_edges = batch.edges.len().checked_div(b * batch.sizes.edge).unwrap_or(0);
         let edges = match layout {
-            EdgeLayout::Listed => tensor(batch.edges.clone(), [b, n_edges, batch.sizes.edge], device),
+            EdgeLayout::Listed => tensor(batch.edges.clone(), [b, N_EDGES, batch.sizes.edge], device),
             EdgeLayout::Dense => {
                 tensor(dense_edges(&batch.edges, b, batch.sizes.edge), [b, N * N, batch.sizes.edge], device)
             }
@@ -61,31 +61,21 @@ fn tensor(values: Vec<f32>, shape: [usize; 3], device: &Device) -> Tensor<3> {
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-/// Returns the index of edge `sender → receiver` in a sender-major list with or without self-edges.
-///
-/// Returns `None` for a self-edge in a list without them.
-pub(crate) fn listed_index(sender: usize, receiver: usize, self_edges: bool) -> Option<usize> {
-    if self_edges {
-        return Some(sender * N + receiver);
-    }
+/// Returns the index of edge `sender → receiver` in the sender-major list; `None` for a self-edge, which it lacks.
+pub(crate) fn listed_index(sender: usize, receiver: usize) -> Option<usize> {
     (sender != receiver).then(|| sender * (N - 1) + receiver - usize::from(receiver > sender))
 }
 
-/// Converts sender-major lists of 240 or 256 edges to receiver-major 16×16, with zeros for unlisted edges.
+/// Converts sender-major lists of edges to receiver-major 16×16, with zeros for self-edges.
 ///
 /// # Shapes
-/// `[b, 240, ed]` or `[b, 256, ed]` → `[b, 256, ed]`
+/// `[b, 240, ed]` → `[b, 256, ed]`
 pub fn dense_edges(listed: &[f32], b: usize, ed: usize) -> Vec<f32> {
     let mut dense = vec![0.0; b * N * N * ed];
-    if b == 0 {
-        return dense;
-    }
-    let per_scene = listed.len() / b;
-    let self_edges = per_scene == N * N * ed;
-    for (from, to) in listed.chunks_exact(per_scene).zip(dense.chunks_exact_mut(N * N * ed)) {
+    for (from, to) in listed.chunks_exact(N_EDGES * ed).zip(dense.chunks_exact_mut(N * N * ed)) {
         for receiver in 0..N {
             for sender in 0..N {
-                if let Some(edge) = listed_index(sender, receiver, self_edges) {
+                if let Some(edge) = listed_index(sender, receiver) {
                     let at = (receiver * N + sender) * ed;
                     to[at..at + ed].copy_from_slice(&from[edge * ed..(edge + 1) * ed]);
                 }

@@ -34,8 +34,8 @@ impl Attention {
         self.choices.len() / N_BLOCKS
     }
 
-    /// Returns the weight with which `receiver` attends to each block in a head, 0 to 1; the 16 weights sum to 1. A
-    /// block does not attend to itself unless the configuration has self-edges.
+    /// Returns the weight with which `receiver` attends to each block in a head, 0 to 1; the 16 weights sum to 1, and
+    /// that of `receiver` itself is 0.
     ///
     /// # Panics
     /// If there is no such layer or head.

@@ -6,7 +6,7 @@ use policy::features::N_EDGES;
 use policy::parameters;
 use policy::{
     BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, MoveTensors, Network,
-    NetworkConfig, ScaleConfig,
+    NetworkConfig,
 };
 
 use crate::common::{generate, relative_error};
@@ -28,7 +28,6 @@ fn batch(sizes: FeatureSizes, n: usize) -> FeatureBatch {
     batch.edges = numbers("edges", n * N_EDGES * sizes.edge);
     batch.globals = numbers("globals", n * sizes.global);
     batch.allowed = vec![true; n * 16];
-    (batch.held, batch.n_steps) = (vec![[None; 2]; n], vec![0; n]);
     batch
 }
 
@@ -104,22 +103,20 @@ fn kernels_equal_burn_whatever_the_shape() {
     let paper = FeatureSizes::new(&FeatureConfig::paper());
     check("all features", &default, FeatureSizes::new(&FeatureConfig::default()), 11);
     check("read-outs", &NetworkConfig { move_head: MoveHead::Mixture, ..default.clone() }, paper, 9);
-    check("self-edges", &with(GatConfig { self_edges: true, ..gat }), paper, 2);
     check("equal weights", &with(GatConfig { attention: false, ..gat }), paper, 3);
     // Nodes have more features than the network's width, so the first layer does not attend to raw features. No size is
     // a multiple of a vector's width.
     let odd = NetworkConfig {
         width: 20,
-        n_grippers: 1,
         value_hidden: vec![13],
-        scale: ScaleConfig { max_std: Some(0.8), init_std: Some(0.3), floor: 0.01 },
+        init_std: Some(0.3),
         ..with(GatConfig { n_layers: 2, n_heads: 3, head_dim: 7, mlp_hidden: 21, ..gat })
     };
-    check("odd sizes", &odd, FeatureSizes { node: 30, edge: 5, global: 25 }, 9);
+    check("odd sizes", &odd, FeatureSizes { node: 30, edge: 5, global: 25, n_grippers: 1 }, 9);
     check(
         "a linear value",
         &NetworkConfig { value_hidden: Vec::new(), ..odd },
-        FeatureSizes { node: 2, edge: 1, global: 17 },
+        FeatureSizes { node: 2, edge: 1, global: 17, n_grippers: 1 },
         1,
     );
 }

@@ -5,7 +5,7 @@ use blueprints::{BlockIdx, N_BLOCKS};
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::distribution::{ActionDistribution, MASKED_LOGIT, mask_logits};
 use policy::loss_terms::{self, ActionTensors};
-use policy::{JointForm, MoveTensors, NetworkOutput};
+use policy::{MoveTensors, NetworkOutput};
 use proptest::prelude::*;
 use proto::Action;
 use rand::SeedableRng;
@@ -13,36 +13,15 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
 const TOLERANCE: f64 = 2e-5;
-const FORMS: [(JointForm, &str); 3] = [
-    (JointForm::ChosenUnique, "chosen_unique"),
-    (JointForm::ChosenPerGripper, "chosen_per_gripper"),
-    (JointForm::Matrix, "matrix_all"),
-];
 
-/// Returns two actions per item that differ only where both grippers chose the same block.
-///
-/// In the golden file's per-gripper form, each gripper has its own move, but an [`Action`] has one per block. A block
-/// chosen twice therefore gets gripper 0's move in one action and gripper 1's in the other, and the mean of the two
-/// log-probabilities equals the file's.
-fn actions(golden: &Value, form: JointForm) -> [Vec<Action>; 2] {
+fn actions(golden: &Value) -> Vec<Action> {
     let blocks = numbers(&golden["action"]["block"]);
     let matrix = floats(&golden["action"]["move_matrix_16x6"]);
-    let own = floats(&golden["action"]["move_per_gripper"]);
-    [[1, 0], [0, 1]].map(|order| {
-        (0..8)
-            .map(|item| {
-                let choices: [usize; 2] = [0, 1].map(|g| blocks[item * 2 + g] as usize);
-                let mut moves: [[f32; 6]; N_BLOCKS] =
-                    std::array::from_fn(|b| std::array::from_fn(|k| matrix[(item * N_BLOCKS + b) * 6 + k]));
-                if form == JointForm::ChosenPerGripper {
-                    for g in order {
-                        moves[choices[g]] = std::array::from_fn(|k| own[(item * 2 + g) * 6 + k]);
-                    }
-                }
-                Action { choices: choices.map(|b| BlockIdx::try_from(b as u8).ok()), moves }
-            })
-            .collect()
-    })
+    let action = |item: usize| Action {
+        choices: [0, 1].map(|g| BlockIdx::try_from(blocks[item * 2 + g] as u8).ok()),
+        moves: std::array::from_fn(|b| std::array::from_fn(|k| matrix[(item * N_BLOCKS + b) * 6 + k])),
+    };
+    (0..8).map(action).collect()
 }
 
 struct Heads {
@@ -56,13 +35,12 @@ impl Heads {
         Self { logits: floats(&json["grip_logits"]), locs: floats(&json["locs"]), scales: floats(&json["scales"]) }
     }
 
-    fn row(&self, item: usize, form: JointForm) -> ActionDistribution<'_> {
+    fn row(&self, item: usize) -> ActionDistribution<'_> {
         let moves = item * 96..(item + 1) * 96;
         ActionDistribution::new(
             &self.logits[item * 32..(item + 1) * 32],
             &self.locs[moves.clone()],
             &self.scales[moves],
-            form,
         )
     }
 
@@ -88,88 +66,112 @@ fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 }
 
 #[test]
-fn log_probs_match_in_all_forms() {
+fn log_probs_match() {
     let golden = read_json(&golden_path("ppo_policy.json"));
+    let actions = actions(&golden);
     for (heads, key) in [("new", "logp"), ("old", "logp_old")] {
         let heads = Heads::read(&golden[heads]);
-        for (form, name) in FORMS {
-            let expected = numbers(&golden["variants"][name][key]);
-            let actions = actions(&golden, form);
-            let slices: Vec<f32> =
-                (0..8).map(|i| actions.iter().map(|a| heads.row(i, form).log_prob(&a[i])).sum::<f32>() / 2.0).collect();
-            assert!(relative_error(&slices, &expected) <= TOLERANCE, "{name} {key}: {slices:?}");
-            let output = heads.tensors(&Device::flex());
-            let tensors =
-                actions.map(|a| loss_terms::log_prob(&output, &ActionTensors::new(a.iter(), 2, &Device::flex()), form));
-            let [a, b] = tensors;
-            assert!(relative_error(&values((a + b) / 2.0), &expected) <= TOLERANCE, "{name} {key} on tensors");
-        }
+        let expected = numbers(&golden["variants"]["chosen_unique"][key]);
+        let slices: Vec<f32> = (0..8).map(|i| heads.row(i).log_prob(&actions[i])).collect();
+        assert!(relative_error(&slices, &expected) <= TOLERANCE, "{key}: {slices:?}");
+        let device = Device::flex();
+        let tensors = loss_terms::log_prob(&heads.tensors(&device), &ActionTensors::new(actions.iter(), 2, &device));
+        assert!(relative_error(&values(tensors), &expected) <= TOLERANCE, "{key} on tensors");
     }
 }
 
 #[test]
-fn gradients_of_the_clipped_loss_match_in_all_forms() {
+fn gradients_of_the_clipped_loss_match() {
     let golden = read_json(&golden_path("ppo_policy.json"));
     let device = Device::flex().autodiff();
     let advantages = floats(&golden["advantages_normalised"]);
     let clip = golden["clip_eps"].as_f64().unwrap();
-    for (form, name) in FORMS {
-        let output = Heads::read(&golden["new"]).tensors(&device);
-        let [a, b] = actions(&golden, form)
-            .map(|a| loss_terms::log_prob(&output, &ActionTensors::new(a.iter(), 2, &device), form));
-        let vector = |x: &[f32]| Tensor::<1>::from_data(TensorData::new(x.to_vec(), [8]), &device);
-        let variant = &golden["variants"][name];
-        let ratio = ((a + b) / 2.0 - vector(&floats(&variant["logp_old"]))).exp();
-        let advantages = vector(&advantages);
-        let clipped = ratio.clone().clamp(1.0 - clip, 1.0 + clip) * advantages.clone();
-        let loss = (ratio * advantages).min_pair(clipped).mean().neg();
-        let gradients = loss.backward();
-        for (key, ours) in [
-            ("grad_logits", values(output.logits.grad(&gradients).unwrap())),
-            ("grad_locs", values(output.gaussians().locs.grad(&gradients).unwrap())),
-            ("grad_scales", values(output.gaussians().scales.grad(&gradients).unwrap())),
-        ] {
-            let error = relative_error(&ours, &numbers(&variant[key]));
-            assert!(error <= TOLERANCE, "{name} {key} is off by {error:e}");
-        }
+    let output = Heads::read(&golden["new"]).tensors(&device);
+    let log_prob = loss_terms::log_prob(&output, &ActionTensors::new(actions(&golden).iter(), 2, &device));
+    let vector = |x: &[f32]| Tensor::<1>::from_data(TensorData::new(x.to_vec(), [8]), &device);
+    let variant = &golden["variants"]["chosen_unique"];
+    let ratio = (log_prob - vector(&floats(&variant["logp_old"]))).exp();
+    let advantages = vector(&advantages);
+    let clipped = ratio.clone().clamp(1.0 - clip, 1.0 + clip) * advantages.clone();
+    let loss = (ratio * advantages).min_pair(clipped).mean().neg();
+    let gradients = loss.backward();
+    for (key, ours) in [
+        ("grad_logits", values(output.logits.grad(&gradients).unwrap())),
+        ("grad_locs", values(output.gaussians().locs.grad(&gradients).unwrap())),
+        ("grad_scales", values(output.gaussians().scales.grad(&gradients).unwrap())),
+    ] {
+        let error = relative_error(&ours, &numbers(&variant[key]));
+        assert!(error <= TOLERANCE, "{key} is off by {error:e}");
     }
 }
 
 #[test]
-fn entropies_match_in_all_forms() {
+fn entropies_match() {
     let golden = read_json(&golden_path("ppo_policy.json"));
     let heads = Heads::read(&golden["new"]);
-    for (form, key) in [
-        (JointForm::ChosenUnique, "gaussian_expected_unique"),
-        (JointForm::ChosenPerGripper, "gaussian_expected_per_gripper"),
-        (JointForm::Matrix, "gaussian_all"),
+    let (blocks, moves): (Vec<f32>, Vec<f32>) =
+        (0..8).map(|i| heads.row(i).entropy()).map(|e| (e.blocks, e.moves)).unzip();
+    let tensors = loss_terms::entropy(&heads.tensors(&Device::flex()), None);
+    for (ours, key) in [
+        (blocks, "categorical"),
+        (values(tensors.blocks), "categorical"),
+        (moves, "gaussian_expected_unique"),
+        (values(tensors.moves), "gaussian_expected_unique"),
     ] {
-        let (blocks, moves): (Vec<f32>, Vec<f32>) =
-            (0..8).map(|i| heads.row(i, form).entropy()).map(|e| (e.blocks, e.moves)).unzip();
-        let tensors = loss_terms::entropy(&heads.tensors(&Device::flex()), None, form);
-        for (ours, key) in [
-            (blocks, "categorical"),
-            (values(tensors.blocks), "categorical"),
-            (moves, key),
-            (values(tensors.moves), key),
-        ] {
-            let error = relative_error(&ours, &numbers(&golden["entropy"][key]));
-            assert!(error <= TOLERANCE, "{key} is off by {error:e}");
-        }
+        let error = relative_error(&ours, &numbers(&golden["entropy"][key]));
+        assert!(error <= TOLERANCE, "{key} is off by {error:e}");
     }
 }
 
+/// The entropy of a scene with two grippers in `f64`, from the entropy of each block's move.
+fn entropy(logits: &[f64], of_moves: &[f64]) -> f64 {
+    let probabilities: Vec<Vec<f64>> = logits
+        .chunks_exact(N_BLOCKS)
+        .map(|row| {
+            let sum: f64 = row.iter().map(|x| x.exp()).sum();
+            row.iter().map(|x| x.exp() / sum).collect()
+        })
+        .collect();
+    let blocks: f64 = probabilities.iter().flatten().map(|p| -p * p.ln()).sum();
+    let chosen = |b: usize| 1.0 - (1.0 - probabilities[0][b]) * (1.0 - probabilities[1][b]);
+    blocks + (0..N_BLOCKS).map(|b| chosen(b) * of_moves[b]).sum::<f64>()
+}
+
 #[test]
-fn entropy_gradients_match_in_the_per_gripper_form() {
+fn entropy_gradients_are_central_differences() {
     let golden = read_json(&golden_path("ppo_policy.json"));
     let output = Heads::read(&golden["new"]).tensors(&Device::flex().autodiff());
-    let entropy = loss_terms::entropy(&output, None, JointForm::ChosenPerGripper);
-    let gradients = (entropy.blocks + entropy.moves).mean().backward();
-    let expected = &golden["entropy_grad_of_mean_per_gripper_form"];
-    let logits = values(output.logits.grad(&gradients).unwrap());
-    assert!(relative_error(&logits, &numbers(&expected["grad_logits"])) <= TOLERANCE);
-    let scales = values(output.gaussians().scales.grad(&gradients).unwrap());
-    assert!(relative_error(&scales, &numbers(&expected["grad_scales"])) <= TOLERANCE);
+    let found = loss_terms::entropy(&output, None);
+    let gradients = (found.blocks + found.moves).sum().backward();
+    let (logits, scales) = (numbers(&golden["new"]["grip_logits"]), numbers(&golden["new"]["scales"]));
+    const STEP: f64 = 1e-5;
+    let (mut by_logits, mut by_scales) = (Vec::new(), Vec::new());
+    for (logits, scales) in logits.chunks_exact(2 * N_BLOCKS).zip(scales.chunks_exact(6 * N_BLOCKS)) {
+        // The entropy of a Gaussian is ½ ln 2πe + ln σ.
+        let of_unit = 0.5 * (std::f64::consts::TAU * std::f64::consts::E).ln();
+        let of_move = |scales: &[f64]| scales.iter().map(|s| of_unit + s.ln()).sum::<f64>();
+        let of_moves: Vec<f64> = scales.chunks_exact(6).map(of_move).collect();
+        by_logits.extend((0..logits.len()).map(|i| {
+            let at = |step: f64| {
+                let mut logits = logits.to_vec();
+                logits[i] += step;
+                entropy(&logits, &of_moves)
+            };
+            (at(STEP) - at(-STEP)) / (2.0 * STEP)
+        }));
+        by_scales.extend((0..scales.len()).map(|i| {
+            let at = |step: f64| {
+                let mut of_moves = of_moves.clone();
+                of_moves[i / 6] += (scales[i] + step).ln() - scales[i].ln();
+                entropy(logits, &of_moves)
+            };
+            (at(STEP) - at(-STEP)) / (2.0 * STEP)
+        }));
+    }
+    let found = values(output.logits.grad(&gradients).unwrap());
+    assert!(relative_error(&found, &by_logits) <= TOLERANCE);
+    let found = values(output.gaussians().scales.grad(&gradients).unwrap());
+    assert!(relative_error(&found, &by_scales) <= TOLERANCE);
 }
 
 #[test]
@@ -179,7 +181,7 @@ fn mode_takes_the_largest_logit_and_the_means() {
     logits[16 + 3] = 0.5;
     let locs: Vec<f32> = (0..96).map(|k| k as f32).collect();
     let scales = [0.1; 96];
-    let action = ActionDistribution::new(&logits, &locs, &scales, JointForm::ChosenUnique).mode();
+    let action = ActionDistribution::new(&logits, &locs, &scales).mode();
     assert_eq!(action.choices.map(|c| c.unwrap().get()), [7, 3]);
     assert_eq!(action.moves[15], [90.0, 91.0, 92.0, 93.0, 94.0, 95.0]);
 }
@@ -188,7 +190,7 @@ fn mode_takes_the_largest_logit_and_the_means() {
 fn log_prob_of_a_hand_worked_case() {
     // One gripper, equal logits: ln(1/16) = −2.772589. Move at the mean, σ = 0.5: 6 · (−ln 0.5 − 0.918939) = −1.354748.
     let (logits, locs, scales) = ([0.0; 16], [0.0; 96], [0.5; 96]);
-    let distribution = ActionDistribution::new(&logits, &locs, &scales, JointForm::ChosenUnique);
+    let distribution = ActionDistribution::new(&logits, &locs, &scales);
     let action = distribution.mode();
     assert_eq!(action.choices, [BlockIdx::try_from(0).ok(), None]);
     assert!((distribution.log_prob(&action) - (-2.772_589 - 1.354_748)).abs() < 1e-5);
@@ -199,7 +201,7 @@ fn samples_follow_the_distribution() {
     let mut logits = [0.0_f32; 16];
     logits[5] = 3.0_f32.ln();
     let (locs, scales) = ([0.25; 96], [0.5; 96]);
-    let distribution = ActionDistribution::new(&logits, &locs, &scales, JointForm::ChosenUnique);
+    let distribution = ActionDistribution::new(&logits, &locs, &scales);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (n, mut hits, mut sum, mut squares) = (20_000, 0, 0.0_f64, 0.0_f64);
     for _ in 0..n {
@@ -226,7 +228,7 @@ proptest! {
     ) {
         let (locs, scales) = ([0.0; 96], [1.0; 96]);
         let sample = |logits: &[f32]| {
-            let distribution = ActionDistribution::new(logits, &locs, &scales, JointForm::ChosenUnique);
+            let distribution = ActionDistribution::new(logits, &locs, &scales);
             distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed))
         };
         let of_any = sample(&logits);
@@ -239,30 +241,28 @@ proptest! {
         logits in prop::collection::vec(-8.0_f32..8.0, 32),
         locs in prop::collection::vec(-1.0_f32..1.0, 96),
         scales in prop::collection::vec(0.05_f32..2.0, 96),
-        allowed in any::<[[bool; 16]; 2]>().prop_filter("some block", |a| a.iter().all(|row| row.contains(&true))),
+        allowed in any::<[bool; 16]>().prop_filter("some block", |row| row.contains(&true)),
         seed in any::<u64>(),
     ) {
         let mut masked = logits.clone();
         mask_logits(&mut masked, &allowed);
-        for (form, _) in FORMS {
-            let distribution = ActionDistribution::new(&masked, &locs, &scales, form);
-            let action = distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
-            for (gripper, choice) in action.choices.iter().enumerate() {
-                let block = choice.unwrap().get();
-                prop_assert!(allowed[gripper][block]);
-                prop_assert!(masked[16 * gripper + block] > MASKED_LOGIT);
-            }
-            let heads = Heads { logits: logits.clone(), locs: locs.clone(), scales: scales.clone() };
-            let mut output = heads.tensors(&Device::flex());
-            output.logits = loss_terms::mask_logits(output.logits, &[Some(allowed)]);
-            let tensors = ActionTensors::new([&action].into_iter(), 2, &Device::flex());
-            let on_tensors = values(loss_terms::log_prob(&output, &tensors, form))[0];
-            let on_slices = distribution.log_prob(&action);
-            prop_assert!((on_tensors - on_slices).abs() <= 1e-4 * on_slices.abs().max(1.0));
-            let on_tensors = loss_terms::entropy(&output, None, form);
-            let on_slices = distribution.entropy();
-            prop_assert!((values(on_tensors.blocks)[0] - on_slices.blocks).abs() <= 1e-4);
-            prop_assert!((values(on_tensors.moves)[0] - on_slices.moves).abs() <= 1e-3);
+        let distribution = ActionDistribution::new(&masked, &locs, &scales);
+        let action = distribution.sample(&mut ChaCha8Rng::seed_from_u64(seed)).unwrap();
+        for (gripper, choice) in action.choices.iter().enumerate() {
+            let block = choice.unwrap().get();
+            prop_assert!(allowed[block]);
+            prop_assert!(masked[16 * gripper + block] > MASKED_LOGIT);
         }
+        let heads = Heads { logits: logits.clone(), locs: locs.clone(), scales: scales.clone() };
+        let mut output = heads.tensors(&Device::flex());
+        output.logits = loss_terms::mask_logits(output.logits, &[Some(allowed)]);
+        let tensors = ActionTensors::new([&action].into_iter(), 2, &Device::flex());
+        let on_tensors = values(loss_terms::log_prob(&output, &tensors))[0];
+        let on_slices = distribution.log_prob(&action);
+        prop_assert!((on_tensors - on_slices).abs() <= 1e-4 * on_slices.abs().max(1.0));
+        let on_tensors = loss_terms::entropy(&output, None);
+        let on_slices = distribution.entropy();
+        prop_assert!((values(on_tensors.blocks)[0] - on_slices.blocks).abs() <= 1e-4);
+        prop_assert!((values(on_tensors.moves)[0] - on_slices.moves).abs() <= 1e-3);
     }
 }

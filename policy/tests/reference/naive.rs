@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 use crate::common::{generate, relative_error};
 use burn::tensor::{Device, Tensor, TensorData};
 use policy::cpu::{CpuNetwork, NetworkLayout, Tape};
+use policy::features::N_EDGES;
 use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters;
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, Network,
-    NetworkConfig, ScaleConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, Network, NetworkConfig,
 };
 
 const N: usize = 16;
@@ -161,15 +161,13 @@ fn softmax(x: &[f64]) -> Vec<f64> {
     exp.iter().map(|v| v / sum).collect()
 }
 
-fn check(gat: GatConfig, n_grippers: u8) {
-    let grippers = usize::from(n_grippers);
-    let sizes = FeatureSizes { node: 5, edge: 7, global: grippers * 19 };
+fn check(gat: GatConfig, n_grippers: usize) {
+    let sizes = FeatureSizes { node: 5, edge: 7, global: n_grippers * 19, n_grippers };
     let config = NetworkConfig {
         encoder: EncoderConfig::Gat(gat),
         width: 12,
-        n_grippers,
         value_hidden: vec![20, 9],
-        scale: ScaleConfig::default(),
+        init_std: None,
         move_head: MoveHead::Gaussian,
     };
     proto::setting::Section::validate_at(&config, "policy.network").unwrap();
@@ -184,11 +182,10 @@ fn check(gat: GatConfig, n_grippers: u8) {
         at += spec.len();
         named.insert(spec.name.clone(), Matrix { values, n_in: spec.shape[0], n_out: *spec.shape.last().unwrap() });
     }
-    let oracle = Oracle { parameters: named, gat, grippers, value_layers: 3, seen: RefCell::default() };
+    let oracle = Oracle { parameters: named, gat, grippers: n_grippers, value_layers: 3, seen: RefCell::default() };
 
-    let n_edges = config.n_edges();
     let input = |name: &str, n: usize| -> Vec<f32> { generate(name, 3, n).iter().map(|x| *x as f32).collect() };
-    let (nodes, edges, raw) = (input("n", N * sizes.node), input("e", n_edges * sizes.edge), input("g", sizes.global));
+    let (nodes, edges, raw) = (input("n", N * sizes.node), input("e", N_EDGES * sizes.edge), input("g", sizes.global));
     assert_eq!(network.edge_layout(), EdgeLayout::Dense);
     let batch = BatchTensors {
         nodes: Tensor::from_data(TensorData::new(nodes.clone(), [1, N, sizes.node]), &device),
@@ -198,7 +195,7 @@ fn check(gat: GatConfig, n_grippers: u8) {
     let output = network.forward(&batch);
 
     let wide = |x: &[f32]| -> Vec<f64> { x.iter().map(|v| f64::from(*v)).collect() };
-    let pairs = (0..N).flat_map(|s| (0..N).filter(move |r| gat.self_edges || *r != s).map(move |r| (s, r)));
+    let pairs = (0..N).flat_map(|s| (0..N).filter(move |r| *r != s).map(move |r| (s, r)));
     let listed = pairs.zip(edges.chunks(sizes.edge).map(wide)).collect();
     let rows: Vec<_> = nodes.chunks(sizes.node).map(wide).collect();
     let expected = oracle.run(&rows, &listed, &wide(&raw));
@@ -219,8 +216,8 @@ fn check(gat: GatConfig, n_grippers: u8) {
     CpuNetwork::new(&layout, &flat, false).unwrap().forward(&batch, &[0], &mut tape);
     assert_eq!(tape.attention().len(), gat.n_layers);
     if !gat.attention {
-        let equal = 1.0 / if gat.self_edges { N as f32 } else { (N - 1) as f32 };
-        let is_equal = |i: usize, weight: f32| weight == if gat.self_edges || i / N != i % N { equal } else { 0.0 };
+        let equal = 1.0 / (N - 1) as f32;
+        let is_equal = |i: usize, weight: f32| weight == if i / N == i % N { 0.0 } else { equal };
         for weights in tape.attention() {
             assert_eq!(weights.len(), N * N);
             assert!(weights.iter().enumerate().all(|(i, weight)| is_equal(i, *weight)), "{weights:?}");
@@ -234,18 +231,15 @@ fn check(gat: GatConfig, n_grippers: u8) {
         let error = relative_error(&ours, &expected);
         assert!(error <= 2e-5, "attention of layer {l} is off by {error:e} with {gat:?}");
         let is_self = |i: usize| i / (gat.n_heads * N) == i % N;
-        assert!((0..ours.len()).filter(|i| is_self(*i)).all(|i| gat.self_edges || ours[i] == 0.0));
+        assert!((0..ours.len()).filter(|i| is_self(*i)).all(|i| ours[i] == 0.0));
     }
 }
 
 #[test]
 fn folded_equals_naive() {
     for attention in [true, false] {
-        for self_edges in [true, false] {
-            for n_grippers in [1, 2] {
-                let gat = GatConfig { attention, self_edges, n_layers: 2, n_heads: 3, head_dim: 8, mlp_hidden: 14 };
-                check(gat, n_grippers);
-            }
+        for n_grippers in [1, 2] {
+            check(GatConfig { attention, n_layers: 2, n_heads: 3, head_dim: 8, mlp_hidden: 14 }, n_grippers);
         }
     }
 }

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use crate::common::{generate, golden_path, numbers, read_json, relative_error};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
+use policy::features::N_EDGES;
 use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters::{self, ParameterSpec};
 use policy::{
@@ -25,7 +26,6 @@ struct Golden {
     json: Value,
     seed: u64,
     batch: usize,
-    n_edges: usize,
     sizes: FeatureSizes,
     config: NetworkConfig,
     tolerance: f64,
@@ -36,7 +36,8 @@ impl Golden {
         let json = read_json(path);
         let info = &json["info"];
         let int = |key: &str| info[key].as_u64().unwrap() as usize;
-        let sizes = FeatureSizes { node: int("node_dim"), edge: int("edge_dim"), global: int("global_dim") };
+        let sizes =
+            FeatureSizes { node: int("node_dim"), edge: int("edge_dim"), global: int("global_dim"), n_grippers: 2 };
         let shapes = json["shapes"].as_object().unwrap();
         let layers =
             |prefix: &str, suffix: &str| shapes.keys().filter(|k| k.starts_with(prefix) && k.ends_with(suffix)).count();
@@ -47,15 +48,14 @@ impl Golden {
             }),
             None => EncoderConfig::Gat(GatConfig {
                 attention: shapes.contains_key("layer0.query.w"),
-                self_edges: info["self_edges"].as_bool().unwrap(),
                 n_layers: layers("layer", "message.w"),
                 ..GatConfig::default()
             }),
         };
         let config = NetworkConfig { encoder, ..NetworkConfig::default() };
-        let (seed, batch, n_edges) = (info["seed"].as_u64().unwrap(), int("batch"), int("n_edge"));
-        assert_eq!(config.n_edges(), n_edges);
-        Self { seed, batch, n_edges, sizes, config, tolerance, json }
+        let (seed, batch) = (info["seed"].as_u64().unwrap(), int("batch"));
+        assert_eq!(int("n_edge"), N_EDGES);
+        Self { seed, batch, sizes, config, tolerance, json }
     }
 
     fn parameters(&self, table: &[ParameterSpec]) -> Vec<f32> {
@@ -90,7 +90,7 @@ impl Golden {
 
     /// Returns nodes, listed edges, and globals.
     fn features(&self) -> [Vec<f32>; 3] {
-        let FeatureSizes { node, edge, global } = self.sizes;
+        let FeatureSizes { node, edge, global, .. } = self.sizes;
         let b = self.batch;
         let make = |name: &str, n: usize| -> Vec<f32> {
             generate(name, self.seed, n).into_iter().map(|x| (1.5 * x) as f32).collect()
@@ -106,7 +106,7 @@ impl Golden {
             }
         }
         let nodes = make("in.nodes", b * 16 * node);
-        let listed = make("in.edges", b * self.n_edges * edge);
+        let listed = make("in.edges", b * N_EDGES * edge);
         for (name, values) in [("nodes", &nodes), ("edges", &listed), ("globals", &globals)] {
             for (value, expected) in values.iter().zip(numbers(&self.json["input_check"][name])) {
                 assert_eq!(f64::from(*value), expected, "generator at in.{name}");
@@ -116,11 +116,11 @@ impl Golden {
     }
 
     fn inputs(&self, layout: EdgeLayout, device: &Device) -> BatchTensors {
-        let FeatureSizes { node, edge, global } = self.sizes;
+        let FeatureSizes { node, edge, global, .. } = self.sizes;
         let (b, [nodes, listed, globals]) = (self.batch, self.features());
         let (edges, rows) = match layout {
             EdgeLayout::Dense => (dense_edges(&listed, b, edge), 256),
-            EdgeLayout::Listed => (listed, self.n_edges),
+            EdgeLayout::Listed => (listed, N_EDGES),
         };
         BatchTensors {
             nodes: Tensor::from_data(TensorData::new(nodes, [b, 16, node]), device).require_grad(),
@@ -154,7 +154,7 @@ impl Golden {
         let mut listed = Vec::new();
         for scene in dense.chunks_exact(256 * ed) {
             for s in 0..16 {
-                for r in (0..16).filter(|r| self.n_edges == 256 || *r != s) {
+                for r in (0..16).filter(|r| *r != s) {
                     listed.extend_from_slice(&scene[(r * 16 + s) * ed..(r * 16 + s + 1) * ed]);
                 }
             }

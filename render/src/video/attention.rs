@@ -3,7 +3,7 @@
 use std::fmt;
 
 use blueprints::{BlockIdx, N_BLOCKS};
-use policy::{Attention, EncoderConfig, Policy};
+use policy::{Attention, Policy};
 use proto::{Observation, Scene};
 
 use super::episode::Episode;
@@ -45,8 +45,6 @@ pub enum AttentionError {
 pub struct EpisodeAttention<'e> {
     pub(super) episode: &'e Episode,
     scenes: Vec<Attention>,
-    /// Whether a block can attend to itself.
-    self_edges: bool,
 }
 
 /// A source of attention in a policy.
@@ -101,25 +99,21 @@ impl<'e> EpisodeAttention<'e> {
     /// # Errors
     /// Returns an error if the policy's network has no attention, or a different number of grippers than the episode.
     pub fn new(policy: &Policy, episode: &'e Episode) -> Result<Self, AttentionError> {
-        let network = usize::from(policy.config().network.n_grippers);
+        let network = usize::from(policy.config().features.n_grippers);
         let grippers = episode.scenes()[0].grippers.iter().flatten().count();
         if grippers != network {
             return Err(AttentionError::Grippers { episode: grippers, network });
         }
         let mut scenes = Vec::with_capacity(episode.scenes().len());
-        let seen = |(i, scene)| {
-            let n_steps = u16::try_from(episode.first_step() + i).unwrap_or(u16::MAX);
-            Observation { scene, blueprint: episode.goal(), n_steps }
-        };
-        let observations: Vec<_> = episode.scenes().iter().enumerate().map(seen).collect();
+        let seen = |scene| Observation { scene, blueprint: episode.goal() };
+        let observations: Vec<_> = episode.scenes().iter().map(seen).collect();
         for some in observations.chunks(BATCH) {
             scenes.extend(policy.attention(some));
         }
         if scenes[0].n_layers() == 0 {
             return Err(AttentionError::NoAttention);
         }
-        let self_edges = matches!(&policy.config().network.encoder, EncoderConfig::Gat(gat) if gat.self_edges);
-        Ok(Self { episode, scenes, self_edges })
+        Ok(Self { episode, scenes })
     }
 
     /// Returns the number of layers of the network.
@@ -172,11 +166,10 @@ impl<'e> EpisodeAttention<'e> {
         self.shares_of(n_done, |receiver, sender| self.scenes[n_done].row(layer, head, receiver)[sender.get()])
     }
 
-    /// Returns the shares after `n_done` steps for uniform attention over all blocks.
+    /// Returns the shares after `n_done` steps for uniform attention over all other blocks.
     pub fn uniform_shares(&self, n_done: usize) -> Shares {
-        let n_senders = if self.self_edges { N_BLOCKS } else { N_BLOCKS - 1 };
-        let weight = 1.0 / n_senders as f32;
-        self.shares_of(n_done, |receiver, sender| if sender == receiver && !self.self_edges { 0.0 } else { weight })
+        let weight = 1.0 / (N_BLOCKS - 1) as f32;
+        self.shares_of(n_done, |receiver, sender| if sender == receiver { 0.0 } else { weight })
     }
 
     fn shares_of(&self, n_done: usize, weight: impl Fn(BlockIdx, BlockIdx) -> f32) -> Shares {

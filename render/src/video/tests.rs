@@ -215,10 +215,9 @@ fn strip_shows_the_goal_and_the_scenes_in_rows_of_four() {
 
 /// An untrained policy with two layers of three heads.
 fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
-    let gat =
-        policy::GatConfig { n_layers: 2, n_heads: 3, head_dim: 4, mlp_hidden: 8, attention, ..Default::default() };
+    let gat = policy::GatConfig { n_layers: 2, n_heads: 3, head_dim: 4, mlp_hidden: 8, attention };
     let encoder = policy::EncoderConfig::Gat(gat);
-    let network = policy::NetworkConfig { encoder, width: 8, value_hidden: vec![8], n_grippers, ..Default::default() };
+    let network = policy::NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
     let features = policy::FeatureConfig { n_grippers, ..Default::default() };
     policy::Policy::new(&policy::PolicyConfig { network, features, ..Default::default() }).unwrap()
 }
@@ -237,7 +236,7 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
     let strip = attention_strip(&attention, 2, 600);
     assert_eq!((strip.width(), strip.height()), (152 + 2 * 224, 22 + 8 * 128 + 24));
     // The two blocks of the goal are each other's planned neighbors; block 0 is held, and nothing is connected.
-    let observation = Observation { scene: &episode.scenes()[2], blueprint: episode.goal(), n_steps: 2 };
+    let observation = Observation { scene: &episode.scenes()[2], blueprint: episode.goal() };
     let seen = &policy(1, true).attention(&[observation])[0];
     let [a, b] = [0, 1].map(|i| episode.goal().placements()[i].block);
     let row = |block| seen.row(1, 2, block);
