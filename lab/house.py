@@ -31,9 +31,9 @@ GOALS = {
 }
 # What is there today, for the goals that are not reached yet. Lower these when a count falls; never raise one.
 CEILINGS = {
-    "lines of Rust outside lab/": 77_100,
-    "of it without tests and comments": 40_100,
-    "settings": 185,
+    "lines of Rust outside lab/": 76_600,
+    "of it without tests and comments": 39_700,
+    "settings": 115,
     "commands": 19,
     "direct dependencies": 54,
     "passages of 12 equal lines": 1,
