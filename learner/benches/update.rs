@@ -47,7 +47,7 @@ fn main() {
             learner.ingest(segment(&id, learner.version().0, &mut rng)).unwrap();
         }
         let start = Instant::now();
-        learner.update().unwrap();
+        learner.update_from_mailbox().unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let per_sample = 1000.0 * seconds / (n_samples * n_epochs) as f64;
         println!("round {round}: {seconds:.2} s, {per_sample:.3} ms a sample and epoch");

@@ -7,13 +7,11 @@ use std::sync::Arc;
 use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
-use policy::normalization::{FeatureMoments, normalize};
+use policy::normalization::FeatureMoments;
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::PpoMetrics;
-use proto::{
-    BehaviorPolicy, CanonicalSettings, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion,
-};
+use proto::{CanonicalSettings, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -25,10 +23,9 @@ use crate::config::{LearnerConfig, OptimizerConfig, RateRule};
 use crate::curriculum::Curriculum;
 use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
-use crate::metrics::UpdateMetrics;
 use crate::model::Model;
 use crate::normalization::ValueStatistics;
-use crate::ppo::{Learned, Ppo, Progress, Trained};
+use crate::ppo::{Ppo, Trained};
 use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
 use crate::trial::Trial;
@@ -96,16 +93,16 @@ pub enum LearnerError {
 /// weights.
 #[derive(Debug)]
 pub struct Learner {
-    setup: LearnerSetup,
-    ppo: Ppo,
-    state: LearnerState,
-    mailbox: Arc<Mailbox>,
+    pub(crate) setup: LearnerSetup,
+    pub(crate) ppo: Ppo,
+    pub(crate) state: LearnerState,
+    pub(crate) mailbox: Arc<Mailbox>,
     /// Number of accepted trajectories that could not be learned from.
-    n_unmade: u64,
+    pub(crate) n_unmade: u64,
     /// Tries the weights of each update.
     tried: Policy,
     /// Number of updates that were taken back.
-    n_refused: u64,
+    pub(crate) n_refused: u64,
 }
 
 /// Maximum number of blocks in the goals that one update generates, per environment step. The shortest episodes, which
@@ -261,62 +258,8 @@ impl Learner {
         self.mailbox.n_steps() >= self.setup.config.steps_per_update
     }
 
-    /// Runs one update on the oldest trajectories. Returns `None` if there are not enough, or if none has a usable goal.
-    /// PPO uses only trajectories with sampled actions.
-    ///
-    /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
-    pub fn update(&mut self) -> Option<UpdateMetrics> {
-        self.update_on(self.setup.config.steps_per_update)
-    }
-
-    /// As [`Self::update`], on at least `n_steps` environment steps: those of whole trajectories.
-    pub fn update_on(&mut self, n_steps: usize) -> Option<UpdateMetrics> {
-        let mut trajectories = self.mailbox.take(n_steps);
-        self.drop_unusable_goals(&mut trajectories);
-        if trajectories.is_empty() {
-            return None;
-        }
-        let tally = EpisodeTally::of(&trajectories);
-        let n_steps: usize = trajectories.iter().map(n_env_steps).sum();
-        self.record(&trajectories);
-        let mut trial = Trial::new(&trajectories, &self.setup.catalog);
-        let batch =
-            |trajectories| Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy);
-        let (sampled, others): (Vec<_>, Vec<_>) =
-            trajectories.into_iter().partition(|trajectory| trajectory.behavior_policy == BehaviorPolicy::Sampled);
-        let own = batch(sampled);
-        // The statistics come from raw features and take effect with the next weights.
-        let moving = self.features_move();
-        let next = moving.then(|| self.features_after([&own, &batch(others)]));
-        let mut batch = own;
-        normalize(&mut batch.features, &self.state.normalization);
-        let before = (self.ppo.trained(), self.state.clone());
-        let mut learned = self.learn(&mut batch);
-        self.n_unmade += batch.refused.len() as u64;
-        trial.leave_out(&batch.refused);
-        if let Some((features, n_scenes)) = next {
-            self.adopt_features(features, n_scenes);
-        }
-        self.state.normalization.value_mean = self.state.values.mean as f32;
-        self.state.normalization.value_std = self.state.values.std as f32;
-        self.state.version.0 += 1;
-        let refused = self.refusal(&learned.ppo, &trial);
-        if refused.is_some() {
-            learned = Learned { ppo: kept_metrics(&learned.ppo), ..learned };
-            self.take_back(before);
-        }
-        self.state.n_updates += 1;
-        self.state.n_env_steps += n_steps as u64;
-        self.state.n_episodes += tally.n_episodes();
-        self.mailbox.set_version(self.state.version);
-        let mut metrics =
-            UpdateMetrics::new(&self.state, &batch, n_steps as u64, learned, tally.metrics(), &self.mailbox);
-        (metrics.unmade_total, metrics.refused_total, metrics.refused) = (self.n_unmade, self.n_refused, refused);
-        Some(metrics)
-    }
-
     /// Records how episodes ended.
-    fn record(&mut self, trajectories: &[Trajectory]) {
+    pub(crate) fn record(&mut self, trajectories: &[Trajectory]) {
         for trajectory in trajectories {
             if let Some(outcome) = &trajectory.outcome {
                 self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
@@ -328,21 +271,8 @@ impl Learner {
         }
     }
 
-    /// Takes the gradient steps of an update on a batch with normalized features, from which it removes what nothing can
-    /// be learned from.
-    fn learn(&mut self, batch: &mut Batch) -> Learned {
-        let config = &self.setup.config;
-        let mut progress = Progress {
-            rng: &mut self.state.rng,
-            learning_rate: &mut self.state.learning_rate,
-            values: &mut self.state.values,
-            n_env_steps: self.state.n_env_steps,
-        };
-        self.ppo.update(batch, config, &mut progress)
-    }
-
     /// Returns why the weights of an update are of no use; `None` if policies can act with them.
-    fn refusal(&mut self, ppo: &PpoMetrics, trial: &Trial) -> Option<String> {
+    pub(crate) fn refusal(&mut self, ppo: &PpoMetrics, trial: &Trial) -> Option<String> {
         if ppo.n_skipped_steps > 0 && ppo.n_gradient_steps == 0 {
             return Some("no gradient was finite".to_owned());
         }
@@ -352,7 +282,7 @@ impl Learner {
 
     /// Takes an update back. Its randomness is used up, so that the next one draws other minibatches, and an adaptive
     /// learning rate shrinks.
-    fn take_back(&mut self, (trained, state): (Trained, LearnerState)) {
+    pub(crate) fn take_back(&mut self, (trained, state): (Trained, LearnerState)) {
         self.ppo.restore_trained(trained);
         let mut learning_rate = state.learning_rate;
         if let RateRule::Adaptive(rule) = &self.setup.config.optimizer.rate_rule {
@@ -360,6 +290,15 @@ impl Learner {
         }
         self.state = LearnerState { rng: self.state.rng.clone(), learning_rate, ..state };
         self.n_refused += 1;
+    }
+
+    /// Counts an update, and tells the mailbox of its weights.
+    pub(crate) fn count(&mut self, n_steps: u64, episodes: &EpisodeTally, batch: &Batch) {
+        self.n_unmade += batch.refused.len() as u64;
+        self.state.n_updates += 1;
+        self.state.n_env_steps += n_steps;
+        self.state.n_episodes += episodes.n_episodes();
+        self.mailbox.set_version(self.state.version);
     }
 
     /// Returns the newest weights.
@@ -407,7 +346,7 @@ impl Learner {
 
     /// Generates the goals and drops the trajectories whose goal is held out, cannot be generated, or exceeds the
     /// limit. Generation takes time, so it happens here, after every other check and off the bus's threads.
-    fn drop_unusable_goals(&mut self, trajectories: &mut Vec<Trajectory>) {
+    pub(crate) fn with_usable_goals(&mut self, mut trajectories: Vec<Trajectory>) -> Vec<Trajectory> {
         let catalog = &self.setup.catalog;
         let mut n_blocks_left = GENERATED_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
         let mut usable: BTreeMap<BlueprintId, bool> = BTreeMap::new();
@@ -432,30 +371,34 @@ impl Learner {
             is_usable
         });
         self.n_unmade += (n_before - trajectories.len()) as u64;
+        trajectories
     }
 
     fn table(&self) -> Vec<ParameterInfo> {
         self.ppo.table().iter().map(ParameterInfo::from).collect()
     }
 
-    /// Returns whether the feature statistics are still updated.
-    fn features_move(&self) -> bool {
-        let config = &self.setup.config.normalization;
-        config.features && self.state.n_feature_scenes < N_FEATURE_SCENES
+    /// Returns the feature statistics updated with the raw features of a batch and of the trajectories outside it, and
+    /// their number of scenes; `None` if the statistics are frozen.
+    pub(crate) fn statistics_after(&self, batch: &Batch, others: Vec<Trajectory>) -> Option<(FeatureMoments, usize)> {
+        let is_moving = self.setup.config.normalization.features && self.state.n_feature_scenes < N_FEATURE_SCENES;
+        is_moving.then(|| {
+            let (mut moments, others) = (self.state.features.clone(), self.batch(others));
+            moments.push(&batch.features);
+            moments.push(&others.features);
+            (moments, batch.features.n + others.features.n)
+        })
     }
 
-    /// Returns the feature statistics updated with batches of raw features, and the number of scenes in the batches.
-    fn features_after(&self, batches: [&Batch; 2]) -> (FeatureMoments, usize) {
-        let mut moments = self.state.features.clone();
-        batches.iter().for_each(|batch| moments.push(&batch.features));
-        (moments, batches.iter().map(|batch| batch.features.n).sum())
-    }
-
-    /// Applies the statistics to the next weights.
-    fn adopt_features(&mut self, features: FeatureMoments, n_scenes: usize) {
-        features.freeze_into(&mut self.state.normalization);
-        self.state.features = features;
-        self.state.n_feature_scenes += n_scenes as u64;
+    /// Applies new statistics to the next weights.
+    pub(crate) fn adopt(&mut self, statistics: Option<(FeatureMoments, usize)>) {
+        if let Some((features, n_scenes)) = statistics {
+            features.freeze_into(&mut self.state.normalization);
+            self.state.features = features;
+            self.state.n_feature_scenes += n_scenes as u64;
+        }
+        self.state.normalization.value_mean = self.state.values.mean as f32;
+        self.state.normalization.value_std = self.state.values.std as f32;
     }
 }
 
@@ -469,21 +412,9 @@ fn resumed_rate(saved: &LearnerState, config: &OptimizerConfig) -> LearningRate 
     }
 }
 
-/// Returns the metrics of an update that was taken back. Its losses mean nothing, and may not even be numbers.
-fn kept_metrics(ppo: &PpoMetrics) -> PpoMetrics {
-    PpoMetrics {
-        learning_rate: ppo.learning_rate,
-        n_samples: ppo.n_samples,
-        n_gradient_steps: ppo.n_gradient_steps,
-        n_skipped_steps: ppo.n_skipped_steps,
-        n_epochs: ppo.n_epochs,
-        ..PpoMetrics::default()
-    }
-}
-
 /// Returns the number of environment steps that a trajectory accounts for: its own and those of its episode's burn-in.
-fn n_env_steps(trajectory: &Trajectory) -> usize {
-    trajectory.transitions.len() + usize::from(trajectory.n_burn_in_steps)
+pub(crate) fn n_env_steps(trajectory: &Trajectory) -> u64 {
+    trajectory.transitions.len() as u64 + u64::from(trajectory.n_burn_in_steps)
 }
 
 /// Returns a goal's number of blocks. The id of a generated goal contains it, so the goal is not generated.

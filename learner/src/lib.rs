@@ -1,8 +1,8 @@
 //! The learner: PPO from trajectories to weights, with checkpoints and curriculum.
 //!
-//! Reading order: [`config`] → the math [`gae`], [`loss`], [`adam`], [`normalization`], [`curriculum`], [`reverse`] →
-//! [`admission`], [`mailbox`] → [`batch`] → [`learner`] (the synchronous core) → [`checkpoint`],
-//! [`model`] → [`mod@run`] (the service on the bus).
+//! [`train`] is the algorithm on one page. What it calls: [`source`] and [`mailbox`] (where trajectories come from),
+//! [`batch`], [`ppo`], [`loss`], [`gae`], [`adam`]; [`curriculum`] and [`reverse`] (what is played next); [`learner`]
+//! (the state, and how it is resumed) and [`checkpoint`]. [`mod@run`] is the service on the bus.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -27,9 +27,11 @@ mod numbers;
 mod ppo;
 pub mod reverse;
 pub mod run;
+pub mod source;
 pub mod state;
 #[cfg(test)]
 mod tests;
+pub mod train;
 mod trial;
 
 pub use admission::{ActingLimits, Admission};
@@ -40,4 +42,6 @@ pub use mailbox::{Mailbox, MailboxCounts};
 pub use metrics::UpdateMetrics;
 pub use model::Model;
 pub use policy::device::{DeviceError, DeviceKind};
-pub use run::{Diverged, Feed, RunOptions, SAVE_RETRY, Summary, check, run};
+pub use run::{RunOptions, check, run};
+pub use source::{Arrivals, Source};
+pub use train::{Diverged, SAVE_RETRY, Summary};

@@ -65,7 +65,10 @@ impl Mailbox {
     }
 
     /// As [`Self::push`], but never full: for a sender that waits for the updates anyway and cannot send again.
-    pub(crate) fn push_beyond_capacity(&self, trajectory: Trajectory) -> Result<(), Refusal> {
+    ///
+    /// # Errors
+    /// `Stale` and `Invalid`.
+    pub fn push_beyond_capacity(&self, trajectory: Trajectory) -> Result<(), Refusal> {
         self.put(trajectory, usize::MAX)
     }
 

@@ -1,4 +1,4 @@
-//! Metrics of one update; [`mod@crate::run`] adds timings and bus counts.
+//! Metrics of one update; [`crate::train`] adds timings and bus counts.
 
 use std::collections::BTreeMap;
 
@@ -8,9 +8,9 @@ use proto::metrics::{EpisodeMetrics, PpoMetrics, ProposalMetrics};
 use serde::Serialize;
 
 use crate::batch::Batch;
-use crate::mailbox::{Mailbox, MailboxCounts};
+use crate::learner::Learner;
+use crate::mailbox::MailboxCounts;
 use crate::ppo::Learned;
-use crate::state::LearnerState;
 
 /// Metrics of one update.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -54,36 +54,54 @@ pub struct UpdateMetrics {
     pub reverse_reach: BTreeMap<u8, u8>,
 }
 
-impl UpdateMetrics {
-    pub(crate) fn new(
-        state: &LearnerState,
-        batch: &Batch,
-        n_steps: u64,
-        Learned { ppo, proposals }: Learned,
-        episodes: EpisodeMetrics,
-        mailbox: &Mailbox,
-    ) -> Self {
+/// An update that [`UpdateMetrics`] describe.
+pub(crate) struct Update<'a> {
+    pub(crate) batch: &'a Batch,
+    /// Environment steps of its trajectories.
+    pub(crate) n_steps: u64,
+    pub(crate) learned: Learned,
+    pub(crate) episodes: EpisodeMetrics,
+    /// Why it was taken back.
+    pub(crate) refused: Option<String>,
+}
+
+impl Learner {
+    /// Returns the metrics of the newest update.
+    pub(crate) fn metrics(&self, update: Update<'_>) -> UpdateMetrics {
+        let Update { batch, n_steps, learned, episodes, refused } = update;
         let histogram = batch.lag_histogram();
         let total: u64 = histogram.iter().zip(0..).map(|(n, lag): (_, u64)| n * lag).sum();
-        Self {
-            weights_version: state.version,
-            n_updates: state.n_updates,
-            n_env_steps: state.n_env_steps,
-            n_episodes: state.n_episodes,
+        UpdateMetrics {
+            weights_version: self.state.version,
+            n_updates: self.state.n_updates,
+            n_env_steps: self.state.n_env_steps,
+            n_episodes: self.state.n_episodes,
             policy_lag_mean: total as f64 / batch.n_samples().max(1) as f64,
             policy_lag_max: histogram.len() as u64 - 1,
             policy_lag_histogram: histogram,
-            n_mailbox: mailbox.n_steps() as u64,
-            mailbox: mailbox.counts(),
-            unmade_total: 0,
-            refused_total: 0,
-            refused: None,
+            n_mailbox: self.mailbox.n_steps() as u64,
+            mailbox: self.mailbox.counts(),
+            unmade_total: self.n_unmade,
+            refused_total: self.n_refused,
+            ppo: if refused.is_some() { kept(&learned.ppo) } else { learned.ppo },
+            refused,
             n_steps,
-            ppo,
-            proposals,
+            proposals: learned.proposals,
             episodes,
-            task_probabilities: state.curriculum.probabilities(),
-            reverse_reach: state.reverse.reach(),
+            task_probabilities: self.state.curriculum.probabilities(),
+            reverse_reach: self.state.reverse.reach(),
         }
+    }
+}
+
+/// Returns what remains true of an update that was taken back. Its losses mean nothing, and may not even be numbers.
+fn kept(ppo: &PpoMetrics) -> PpoMetrics {
+    PpoMetrics {
+        learning_rate: ppo.learning_rate,
+        n_samples: ppo.n_samples,
+        n_gradient_steps: ppo.n_gradient_steps,
+        n_skipped_steps: ppo.n_skipped_steps,
+        n_epochs: ppo.n_epochs,
+        ..PpoMetrics::default()
     }
 }

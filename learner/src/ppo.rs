@@ -19,6 +19,7 @@ use crate::draws;
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
 use crate::normalization::ValueStatistics;
+use crate::state::LearnerState;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
 
@@ -57,6 +58,13 @@ pub(crate) struct Progress<'a> {
     pub(crate) values: &'a mut ValueStatistics,
     /// Environment steps consumed before this update.
     pub(crate) n_env_steps: u64,
+}
+
+impl<'a> Progress<'a> {
+    pub(crate) fn of(state: &'a mut LearnerState) -> Self {
+        let LearnerState { rng, learning_rate, values, n_env_steps, .. } = state;
+        Self { rng, learning_rate, values, n_env_steps: *n_env_steps }
+    }
 }
 
 /// The metrics of an update.

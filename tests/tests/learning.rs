@@ -57,7 +57,7 @@ impl Ring {
                 self.learner.ingest(segment).unwrap();
             }
         }
-        self.learner.update().unwrap();
+        self.learner.update_from_mailbox().unwrap();
     }
 
     /// Success rate, with the settings of the preset's evaluator.

@@ -7,6 +7,7 @@ mod eval;
 mod expert;
 mod files;
 mod goals;
+mod in_process;
 mod keys;
 mod models;
 mod names;

@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use actor::{ActorSetup, Lockstep};
+use actor::ActorSetup;
 use blueprints::Catalog;
 use bus::{Bus, BusError};
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
-use learner::{Feed, LearnerSetup, RunOptions, SAVE_RETRY};
+use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use proto::{ActorId, Role, Weights};
 use runlog::{Pass, RunPaths};
@@ -88,7 +88,8 @@ pub(super) async fn run_learner(
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let (told, metrics) = watch::channel(None);
-    let options = run_options(setup, config, &run_dir, origin.checkpoint, told);
+    let source = Box::new(Arrivals::default());
+    let options = run_options(setup, config, &run_dir, origin.checkpoint, source, told);
     let mut shown = None;
     let ended = on_bus(config, &health, &shutdown, async |bus| {
         let (actors, whole, terminal) = (bus.alive(Role::Actor).await?, config.clone(), terminal.clone());
@@ -365,23 +366,17 @@ pub(super) fn run_dir(
     Ok(run_dir)
 }
 
-/// The options of a learner for this run, which sends its metrics to `told` too.
+/// The options of a learner for this run with trajectories of this source, which sends its metrics to `told` too.
 pub(super) fn run_options(
     setup: LearnerSetup,
     config: &Config,
     run_dir: &RunDir,
     resume: Option<PathBuf>,
+    source: Box<dyn TrajectorySource>,
     told: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
     let (run_dir, max_env_steps) = (run_dir.paths().clone(), Some(config.n_env_steps));
-    RunOptions { setup, run_dir, resume, max_env_steps, feed: None, told, save_retry: SAVE_RETRY }
-}
-
-/// Steps worlds in turns with the learner.
-pub(super) fn lockstep_feed(config: &Config, catalog: &'static Catalog) -> Feed {
-    let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
-    let mut worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });
-    Box::new(move |weights, restart| worlds.step(weights, restart))
+    RunOptions { setup, run_dir, resume, max_env_steps, source, told, save_retry: SAVE_RETRY }
 }
 
 fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {

@@ -8,6 +8,7 @@ use blueprints::outside::as_text;
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
+use learner::{Arrivals, Source};
 use proto::ActorId;
 use proto::keys::Role;
 use proto::metrics::EvalSummary;
@@ -17,6 +18,7 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::TrainingGoals;
+use super::in_process::InProcess;
 use super::{join_bus, serve, services};
 use crate::cli::{Settings, TrainArgs};
 use crate::config::{Config, Preset};
@@ -92,8 +94,11 @@ pub(super) async fn run(
     let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
 
     let mut running = JoinSet::new();
-    let mut options = services::run_options(setup, config, &run_dir, origin.checkpoint, told);
-    options.feed = config.lockstep.then(|| services::lockstep_feed(config, catalog));
+    let source: Box<dyn Source> = match config.lockstep {
+        true => Box::new(InProcess::new(config, catalog)),
+        false => Box::new(Arrivals::default()),
+    };
+    let options = services::run_options(setup, config, &run_dir, origin.checkpoint, source, told);
     let evaluator =
         EvaluatorSetup { catalog, ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path())) };
     let (learned, its_summary) = oneshot::channel();

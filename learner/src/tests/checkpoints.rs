@@ -22,7 +22,7 @@ fn train(setup: &LearnerSetup, learner: &mut Learner, n: u64) {
         let mut rng = ChaCha8Rng::seed_from_u64(learner.version().0);
         // 40 more steps than an update consumes, so that some are always waiting.
         feed(learner, bandit(setup, &learner.weights(), 296, &mut rng));
-        learner.update().unwrap();
+        learner.update_from_mailbox().unwrap();
     }
 }
 
@@ -58,7 +58,7 @@ fn resumed_learner_takes_another_fixed_rate() {
     setup.config.optimizer.learning_rate = 1e-4;
     let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
     feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5)));
-    assert_eq!(resumed.update().unwrap().ppo.learning_rate, f64::from(1e-4_f32));
+    assert_eq!(resumed.update_from_mailbox().unwrap().ppo.learning_rate, f64::from(1e-4_f32));
 }
 
 #[test]

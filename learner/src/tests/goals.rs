@@ -17,7 +17,7 @@ fn update(goals: &[String]) -> UpdateMetrics {
         segment
     });
     feed(&learner, segments.collect());
-    learner.update().unwrap()
+    learner.update_from_mailbox().unwrap()
 }
 
 #[test]

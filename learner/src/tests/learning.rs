@@ -77,7 +77,7 @@ fn rewarded_choice_becomes_more_likely() {
     for _ in 0..12 {
         let trajectories = bandit(&setup, &learner.weights(), 256, &mut rng);
         feed(&learner, trajectories);
-        let metrics = learner.update().unwrap();
+        let metrics = learner.update_from_mailbox().unwrap();
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
         rates.push(metrics.episodes.success.rate);
     }
@@ -91,10 +91,10 @@ fn update_needs_a_full_batch() {
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     feed(&learner, bandit(&setup, &learner.weights(), 255, &mut rng));
-    assert!(!learner.ready() && learner.update().is_none());
+    assert!(!learner.ready() && learner.update_from_mailbox().is_none());
     feed(&learner, bandit(&setup, &learner.weights(), 1, &mut rng));
     assert!(learner.ready());
-    let metrics = learner.update().unwrap();
+    let metrics = learner.update_from_mailbox().unwrap();
     assert_eq!((metrics.n_env_steps, metrics.n_updates, metrics.n_episodes), (256, 1, 256));
     assert_eq!(metrics.ppo.n_gradient_steps, 12);
     assert_eq!(learner.weights().version, metrics.weights_version);
@@ -107,7 +107,7 @@ fn weights_depend_on_the_seed_alone() {
         let mut learner = Learner::new(setup.clone()).unwrap();
         let trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
         feed(&learner, trajectories);
-        learner.update().unwrap();
+        learner.update_from_mailbox().unwrap();
         learner.weights()
     };
     assert_eq!(weights(1), weights(1));
@@ -124,7 +124,7 @@ fn weights_are_independent_of_the_number_of_threads() {
         let mut learner = Learner::new(setup.clone()).unwrap();
         let trajectories = bandit(&setup, &learner.weights(), 4 * PIECE_SIZE, &mut ChaCha8Rng::seed_from_u64(3));
         feed(&learner, trajectories);
-        learner.update().unwrap();
+        learner.update_from_mailbox().unwrap();
         learner.weights()
     };
     assert_eq!(weights(1), weights(3));
@@ -139,10 +139,10 @@ fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();
     feed(&learner, bandit(&setup, &first, 256, &mut rng));
-    learner.update().unwrap();
+    learner.update_from_mailbox().unwrap();
     feed(&learner, bandit(&setup, &first, 128, &mut rng));
     feed(&learner, bandit(&setup, &learner.weights(), 128, &mut rng));
-    let metrics = learner.update().unwrap();
+    let metrics = learner.update_from_mailbox().unwrap();
     assert_eq!((metrics.policy_lag_mean, metrics.policy_lag_max), (0.5, 1));
     assert_eq!(metrics.policy_lag_histogram, [128, 128]);
     assert!(metrics.ppo.effective_sample_size < 0.999, "{metrics:?}");
@@ -157,7 +157,7 @@ fn gradient_step_that_is_not_finite_is_skipped() {
     // The lowest admitted log-density makes the ratio overflow.
     trajectories[0].transitions[0].behavior_log_prob = -2000.0;
     feed(&learner, trajectories);
-    let metrics = learner.update().unwrap();
+    let metrics = learner.update_from_mailbox().unwrap();
     assert!(metrics.ppo.n_skipped_steps > 0);
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
 }
@@ -173,7 +173,7 @@ fn ppo_uses_only_sampled_actions() {
     feed(&learner, sampled.to_vec());
     let greedy = |trajectory: &Trajectory| Trajectory { behavior_policy: BehaviorPolicy::Greedy, ..trajectory.clone() };
     feed(&learner, others.iter().map(greedy).collect());
-    let update = learner.update().unwrap();
+    let update = learner.update_from_mailbox().unwrap();
     assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
     // One minibatch of 64 or more in each of 3 epochs.
     assert_eq!(update.ppo.n_gradient_steps, 3);
@@ -184,7 +184,7 @@ fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_net
     let mut learner = Learner::new(small_setup(1)).unwrap();
     let trajectories = bandit(&small_setup(1), &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5));
     feed(&learner, trajectories);
-    learner.update().unwrap();
+    learner.update_from_mailbox().unwrap();
     let model = Model::from(&learner.checkpoint());
     let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
     setup.policy.network.init_std = Some(0.1);
@@ -216,7 +216,7 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for n in 1..=2 {
             feed(&learner, bandit(&setup, &learner.weights(), 256, &mut rng));
-            let metrics = learner.update().unwrap();
+            let metrics = learner.update_from_mailbox().unwrap();
             assert!(metrics.refused.is_some(), "{learning_rate}: {metrics:?}");
             assert_eq!((metrics.refused_total, metrics.n_updates, metrics.n_env_steps), (n, n, 256 * n));
             assert_eq!(metrics.ppo.total_loss, 0.0, "what was taken back has no loss");
@@ -228,7 +228,7 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
         setup.config.optimizer.learning_rate = 3e-4;
         let mut resumed = Learner::resume(setup.clone(), checkpoint).unwrap();
         feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut rng));
-        assert_eq!(resumed.update().unwrap().refused, None);
+        assert_eq!(resumed.update_from_mailbox().unwrap().refused, None);
     }
 }
 
@@ -238,6 +238,6 @@ fn an_adaptive_rate_shrinks_when_an_update_is_taken_back() {
     setup.config.optimizer.learning_rate = 1e5;
     let mut learner = Learner::new(setup.clone()).unwrap();
     feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
-    assert!(learner.update().unwrap().refused.is_some());
+    assert!(learner.update_from_mailbox().unwrap().refused.is_some());
     assert_eq!(learner.checkpoint().state.learning_rate.0, 1e5_f32 / 1.5);
 }

@@ -44,7 +44,7 @@ fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
         }
         rates.push(f64::from(n_joins) / 256.0);
         feed(&learner, trajectories);
-        let metrics = learner.update().unwrap();
+        let metrics = learner.update_from_mailbox().unwrap();
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
     }
     assert!(rates[0] < 0.1 && rates[11] > 0.9, "{rates:?}");
@@ -78,7 +78,7 @@ fn an_update_tells_what_was_drawn_and_what_came_of_it() {
         n_tries += n_joins;
     }
     feed(&learner, trajectories);
-    let update = learner.update().unwrap();
+    let update = learner.update_from_mailbox().unwrap();
     let found = update.proposals.unwrap();
     let n_draws: u64 = counts.values().sum();
     assert_eq!(found.kinds.len(), 3);
@@ -100,7 +100,7 @@ fn the_gaussian_head_draws_from_no_proposals() {
     let setup = small_setup(1);
     let mut learner = Learner::new(setup.clone()).unwrap();
     feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
-    assert_eq!(learner.update().unwrap().proposals, None);
+    assert_eq!(learner.update_from_mailbox().unwrap().proposals, None);
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn actions_that_their_scenes_do_not_offer_are_refused_and_counted() {
         trajectory.transitions[0].proposals[0] = first;
     }
     feed(&learner, trajectories);
-    let update = learner.update().unwrap();
+    let update = learner.update_from_mailbox().unwrap();
     assert_eq!((update.n_steps, update.unmade_total), (256, 2));
     assert_eq!(update.ppo.n_samples, 254);
 }

@@ -16,6 +16,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
+use crate::fixtures::Made;
 use crate::{CheckpointError, RunOptions, Summary, run};
 
 /// Time between attempts to save, where they should succeed at once.
@@ -27,7 +28,7 @@ struct Running {
     bus: Bus,
     paths: RunPaths,
     metrics: MetricsSubscriber,
-    /// Calls of the feed.
+    /// Times that trajectories were made.
     n_fed: Arc<AtomicU64>,
     shutdown: CancellationToken,
     learning: JoinHandle<anyhow::Result<Option<Summary>>>,
@@ -45,11 +46,11 @@ impl Running {
         let n_fed = Arc::new(AtomicU64::new(0));
         let feed = {
             let (setup, paths, n_fed) = (setup.clone(), paths.clone(), n_fed.clone());
-            move |weights: &proto::Weights, _| {
+            move |weights: &proto::Weights| {
                 if n_fed.fetch_add(1, Ordering::SeqCst) == 0 {
                     spoil(&paths);
                 }
-                Ok(bandit(&setup, weights, 256, &mut ChaCha8Rng::seed_from_u64(weights.version.0)))
+                bandit(&setup, weights, 256, &mut ChaCha8Rng::seed_from_u64(weights.version.0))
             }
         };
         let options = RunOptions {
@@ -57,7 +58,7 @@ impl Running {
             run_dir: paths.clone(),
             resume: None,
             max_env_steps: Some(max_env_steps),
-            feed: Some(Box::new(feed)),
+            source: Box::new(Made(feed)),
             told: tokio::sync::watch::Sender::new(None),
             save_retry,
         };

@@ -10,7 +10,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
 use crate::config::{FixedRate, RateRule};
-use crate::{Checkpoint, CheckpointError, Diverged, Feed, LearnerSetup, RunOptions, SAVE_RETRY, Summary, run};
+use crate::fixtures::Made;
+use crate::{Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Summary, run};
 use runlog::RunPaths;
 
 /// Sends enough trajectories for one update with each of the next `n_updates` weights.
@@ -48,7 +49,7 @@ fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
         run_dir: dir.clone(),
         resume: None,
         max_env_steps: None,
-        feed: None,
+        source: Box::new(Arrivals::default()),
         told,
         save_retry: SAVE_RETRY,
     }
@@ -139,9 +140,9 @@ async fn run_takes_as_many_steps_as_were_asked_for_and_no_whole_update_more() {
     assert_eq!(setup.config.steps_per_update, 256);
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(6));
     // Segments of one step.
-    let feed: Feed = Box::new(move |weights, _| Ok(bandit(&its_setup, weights, 10, &mut rng)));
+    let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 10, &mut rng)));
     let run_dir = RunPaths::new(dir.path().join("run"));
-    let options = RunOptions { max_env_steps: Some(300), feed: Some(feed), ..options(setup, &run_dir) };
+    let options = RunOptions { max_env_steps: Some(300), source, ..options(setup, &run_dir) };
     let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
     assert_eq!((report.n_updates, report.n_env_steps), (2, 300));
     bus.close().await;
@@ -171,8 +172,8 @@ async fn training_that_diverges_stops_and_keeps_usable_weights() {
     setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
     setup.config.checkpoints.every_updates = 1;
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(1));
-    let feed: Feed = Box::new(move |weights, _| Ok(bandit(&its_setup, weights, 256, &mut rng)));
-    let options = RunOptions { feed: Some(feed), ..options(setup.clone(), &run_dir) };
+    let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 256, &mut rng)));
+    let options = RunOptions { source, ..options(setup.clone(), &run_dir) };
     let error = run(options, &bus, CancellationToken::new()).await.unwrap_err();
     assert!(error.is::<Diverged>(), "{error:#}");
     let found = Checkpoint::read_latest(&run_dir.checkpoints()).unwrap();

@@ -153,11 +153,7 @@ impl Member {
     }
 
     /// Publishes metrics as an actor does and records when newer weights arrived, until `end`.
-    pub(super) async fn watch_and_report(
-        &self,
-        tally: &Tally,
-        end: &CancellationToken,
-    ) -> Vec<Moment> {
+    pub(super) async fn watch_and_report(&self, tally: &Tally, end: &CancellationToken) -> Vec<Moment> {
         let mut weights = self.weights.watch();
         weights.mark_unchanged();
         let start = Instant::now();

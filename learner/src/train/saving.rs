@@ -7,19 +7,23 @@ use proto::keys;
 use proto::metrics::{LearnerMetrics, NotSaved};
 use runlog::{Lines, tensorboard};
 
-use super::{POLL_INTERVAL, Worker};
+use super::Output;
 use crate::checkpoint;
+use crate::learner::Learner;
+
+/// Interval at which a run that waits for its disk looks whether it was told to end.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Metrics without TensorBoard curves: constants, those with one curve per blueprint, and what is no measurement.
 const UNPLOTTED: [&str; 4] = ["schema_version", "task_probabilities", "success_by_blueprint", "not_saved"];
 
 /// What is on disk, and what is not yet.
 #[derive(Debug)]
-pub(super) struct Saving {
+pub(crate) struct Saving {
     /// Time of the last checkpoint of this process, or of its start, in milliseconds since 1970.
-    pub(super) saved_unix_ms: u64,
+    saved_unix_ms: u64,
     /// The last checkpoint of this process.
-    pub(super) checkpoint: Option<PathBuf>,
+    checkpoint: Option<PathBuf>,
     /// The line of the newest update, until it is written.
     line: Option<Lines>,
     /// The points of the newest update, until they are written.
@@ -27,7 +31,7 @@ pub(super) struct Saving {
     /// Whether a checkpoint is due.
     is_due: bool,
     /// The newest update's metrics.
-    metrics: Option<LearnerMetrics>,
+    pub(super) metrics: Option<LearnerMetrics>,
 }
 
 impl Default for Saving {
@@ -37,41 +41,49 @@ impl Default for Saving {
     }
 }
 
-impl Worker {
-    /// Saves the metrics of an update and, if one is due, a checkpoint. Returns when that is done: training waits for
-    /// as long as nothing can be saved, because whatever it learns could be lost.
-    pub(super) fn keep(&mut self, metrics: LearnerMetrics, is_due: bool) -> anyhow::Result<()> {
-        let mut line = Lines::default();
-        line.push(keys::METRICS_LEARNER, &metrics)?;
-        let scalars = tensorboard::flatten("learner", &serde_json::to_value(&metrics)?, &UNPLOTTED);
-        self.saving.line = Some(line);
-        self.saving.scalars = Some((metrics.n_env_steps, scalars));
-        self.saving.metrics = Some(metrics);
+impl Output {
+    /// Saves the metrics of the newest update and, if one is due, a checkpoint; returns whether one was due. If
+    /// training `has_diverged`, the last checkpoint is written elsewhere.
+    ///
+    /// Returns when that is done: training waits for as long as nothing can be saved, because whatever it learns could
+    /// be lost.
+    ///
+    /// # Errors
+    /// If the metrics cannot be serialized.
+    pub(super) fn save(&mut self, learner: &Learner, has_diverged: bool) -> anyhow::Result<bool> {
+        let is_due = !has_diverged && learner.n_updates().is_multiple_of(self.checkpoints.every_updates);
+        if let Some(metrics) = &self.saving.metrics {
+            let mut line = Lines::default();
+            line.push(keys::METRICS_LEARNER, metrics)?;
+            let scalars = tensorboard::flatten("learner", &serde_json::to_value(metrics)?, &UNPLOTTED);
+            self.saving.scalars = Some((metrics.n_env_steps, scalars));
+            self.saving.line = Some(line);
+        }
         self.saving.is_due = is_due;
-        self.save_or_wait();
-        Ok(())
+        self.save_or_wait(learner);
+        Ok(is_due)
     }
 
-    /// Saves a checkpoint, and waits for it like [`Worker::keep`].
+    /// Saves a checkpoint, and waits for it like [`Output::save`].
     ///
     /// # Errors
     /// If it cannot be saved when the run is told to end, or its session has failed.
-    pub(super) fn keep_last(&mut self) -> anyhow::Result<PathBuf> {
+    pub(super) fn save_last(&mut self, learner: &Learner) -> anyhow::Result<PathBuf> {
         self.saving.is_due = true;
-        self.save_or_wait();
+        self.save_or_wait(learner);
         // Once told to end, the checkpoint alone counts.
         match self.saving.checkpoint.take() {
             Some(path) if !self.saving.is_due => Ok(path),
-            _ => self.save_checkpoint().map_err(|error| self.lost(error)),
+            _ => self.save_checkpoint(learner).map_err(|error| self.lost(learner, error)),
         }
     }
 
     /// Saves everything, again and again until it succeeds, or until the run is told to end or its session fails.
-    fn save_or_wait(&mut self) {
-        let Err(mut error) = self.save() else { return };
+    fn save_or_wait(&mut self, learner: &Learner) {
+        let Err(mut error) = self.try_save(learner) else { return };
         let pulse = self.pulse.clone();
         let _waiting = pulse.waiting();
-        let pause = self.options.save_retry;
+        let pause = self.save_retry;
         let mut told: Option<String> = None;
         loop {
             let reason = format!("{error:#}");
@@ -84,7 +96,7 @@ impl Worker {
             if !self.pause(pause) {
                 return;
             }
-            match self.save() {
+            match self.try_save(learner) {
                 Ok(()) => break,
                 Err(again) => error = again,
             }
@@ -94,7 +106,7 @@ impl Worker {
     }
 
     /// Saves what is not on disk yet. What cannot be saved does not keep the rest from it.
-    fn save(&mut self) -> anyhow::Result<()> {
+    fn try_save(&mut self, learner: &Learner) -> anyhow::Result<()> {
         let mut saved = Ok(());
         if let Some(line) = &self.saving.line {
             match self.records.append(line) {
@@ -109,7 +121,7 @@ impl Worker {
             }
         }
         if self.saving.is_due {
-            match self.save_checkpoint() {
+            match self.save_checkpoint(learner) {
                 Ok(path) => self.saving.checkpoint = Some(path),
                 Err(error) => saved = saved.and(Err(error.into())),
             }
@@ -120,11 +132,11 @@ impl Worker {
         saved
     }
 
-    fn save_checkpoint(&mut self) -> Result<PathBuf, checkpoint::CheckpointError> {
-        let checkpoints = self.options.run_dir.checkpoints();
-        let path = self.learner.save(&checkpoints)?;
-        let keep = self.options.setup.config.checkpoints.keep;
-        if let Err(error) = checkpoint::prune(&checkpoints, self.learner.n_env_steps(), keep) {
+    fn save_checkpoint(&mut self, learner: &Learner) -> Result<PathBuf, checkpoint::CheckpointError> {
+        let checkpoints = self.run_dir.checkpoints();
+        let path = learner.save(&checkpoints)?;
+        let keep = self.checkpoints.keep;
+        if let Err(error) = checkpoint::prune(&checkpoints, learner.n_env_steps(), keep) {
             tracing::warn!(%error, "older checkpoints were not removed");
         }
         tracing::info!(path = %path.display(), "saved");
@@ -144,7 +156,7 @@ impl Worker {
     /// Waits; returns whether the run goes on.
     fn pause(&self, pause: Duration) -> bool {
         let start = Instant::now();
-        while !self.shutdown.is_cancelled() && !self.publications.is_closed() {
+        while !self.is_stopped() {
             let Some(left) = pause.checked_sub(start.elapsed()) else { return true };
             // What ends the wait has no blocking form here, and nothing unparks this thread.
             std::thread::park_timeout(left.min(POLL_INTERVAL));
@@ -153,13 +165,13 @@ impl Worker {
     }
 
     /// Returns the error for a run whose last checkpoint was not saved, which names the newest valid one.
-    fn lost(&self, error: checkpoint::CheckpointError) -> anyhow::Error {
-        let checkpoints = self.options.run_dir.checkpoints();
+    fn lost(&self, learner: &Learner, error: checkpoint::CheckpointError) -> anyhow::Error {
+        let checkpoints = self.run_dir.checkpoints();
         let newest = match checkpoint::Checkpoint::read_latest(&checkpoints) {
             Ok(found) => format!("the newest whole one is {}", found.path.display()),
             Err(_) => format!("there is no whole one in {}", checkpoints.display()),
         };
-        let (n_env_steps, version) = (self.learner.n_env_steps(), self.learner.version().0);
+        let (n_env_steps, version) = (learner.n_env_steps(), learner.version().0);
         let lost = format!("the last checkpoint, of {n_env_steps} environment steps and weights {version}, is lost");
         anyhow::Error::new(error).context(format!("{lost}; {newest}"))
     }

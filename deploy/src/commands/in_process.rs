@@ -1,0 +1,40 @@
+//! Worlds that step in turns with the learner, on its thread.
+
+use actor::{ActorSetup, Lockstep};
+use blueprints::Catalog;
+use learner::{Mailbox, Source};
+use proto::{ActorId, Trajectory, Weights};
+
+use super::actor_setup;
+use crate::config::Config;
+
+/// A source of trajectories that equal seeds make equal, byte for byte.
+pub(super) struct InProcess {
+    worlds: Lockstep,
+    restarts: bool,
+}
+
+impl InProcess {
+    /// Creates the worlds; `catalog` has the goals.
+    pub(super) fn new(config: &Config, catalog: &'static Catalog) -> Self {
+        let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
+        let worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });
+        Self { worlds, restarts: false }
+    }
+}
+
+impl Source for InProcess {
+    fn next(&mut self, mailbox: &Mailbox, weights: &Weights, n_steps: usize) -> anyhow::Result<Vec<Trajectory>> {
+        if mailbox.n_steps() < n_steps {
+            for trajectory in self.worlds.step(weights, std::mem::take(&mut self.restarts))? {
+                // The mailbox counts refusals.
+                let _ = mailbox.push_beyond_capacity(trajectory);
+            }
+        }
+        Ok(mailbox.take(n_steps))
+    }
+
+    fn restart(&mut self) {
+        self.restarts = true;
+    }
+}

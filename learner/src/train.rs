@@ -1,0 +1,135 @@
+//! PPO on one page.
+//!
+//! ```text
+//!  source ── trajectories ──▶ batch ──▶ ppo.update ──▶ publish ──▶ save
+//!     ▲                                                  │
+//!     └─────────────── the newest weights ───────────────┘
+//! ```
+//!
+//! [`Source`] finds trajectories, [`Batch`] turns them into inputs of the network, [`ppo`](crate::ppo) takes gradient
+//! steps on the [`loss`](crate::loss) with advantages by [`gae`](crate::gae), and [`Output`] hands the weights to the bus
+//! and to the run folder.
+
+mod output;
+mod saving;
+
+use std::path::PathBuf;
+
+use policy::normalization::normalize;
+use proto::{BehaviorPolicy, Trajectory};
+
+pub(crate) use self::output::{Clock, Output, Publication};
+pub use self::output::{SAVE_RETRY, Summary};
+pub(crate) use self::saving::Saving;
+use crate::batch::Batch;
+use crate::episodes::EpisodeTally;
+use crate::learner::{Learner, n_env_steps};
+use crate::metrics::{Update, UpdateMetrics};
+use crate::ppo::Progress;
+use crate::source::Source;
+use crate::trial::Trial;
+
+/// Number of updates in a row that may be taken back. A single one can come from an odd batch, which the next update
+/// does not have. After three, the settings are at fault, and waiting would only cost time.
+const MAX_REFUSED: u64 = 3;
+
+/// Why training stopped: update after update gave weights with which no policy can act.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "training has diverged: {MAX_REFUSED} updates in a row gave no usable weights ({reason}); the last usable ones are \
+     in {}", checkpoint.display()
+)]
+pub struct Diverged {
+    /// Why the last update was refused.
+    reason: String,
+    /// The checkpoint with the last usable weights.
+    checkpoint: PathBuf,
+}
+
+/// A learner, where its trajectories come from, and where its weights go.
+pub(crate) struct Trainer {
+    pub(crate) learner: Learner,
+    pub(crate) source: Box<dyn Source>,
+    pub(crate) output: Output,
+}
+
+impl Trainer {
+    /// Trains until the run is told to end or has all of its steps, and saves a checkpoint in any case.
+    pub(crate) fn run(mut self) -> anyhow::Result<Summary> {
+        let ended = self.train();
+        // Trajectories acknowledged after the checkpoint would be lost.
+        self.learner.mailbox().close();
+        let checkpoint = self.output.save_last(&self.learner)?;
+        match ended? {
+            Some(reason) => Err(Diverged { reason, checkpoint }.into()),
+            None => Ok(self.output.summary(&self.learner, checkpoint)),
+        }
+    }
+
+    /// The loop. Returns why training diverged, if it did.
+    fn train(&mut self) -> anyhow::Result<Option<String>> {
+        let Self { learner, source, output } = self;
+        let mut n_refused = 0;
+        source.restart();
+        output.publish_first(learner);
+        while let Some(n_steps) = output.next_steps(learner) {
+            let trajectories = source.next(&learner.mailbox(), output.newest(), n_steps)?;
+            output.start_update();
+            let Some(update) = learner.update(trajectories) else { continue };
+            output.publish(learner, &update);
+            n_refused = if update.refused.is_some() { n_refused + 1 } else { 0 };
+            let has_diverged = n_refused == MAX_REFUSED;
+            if output.save(learner, has_diverged)? {
+                source.restart();
+            }
+            if has_diverged {
+                return Ok(update.refused);
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Learner {
+    /// Runs one update; `None` if no trajectory has a usable goal. PPO uses only trajectories with sampled actions.
+    ///
+    /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
+    pub fn update(&mut self, trajectories: Vec<Trajectory>) -> Option<UpdateMetrics> {
+        let trajectories = self.with_usable_goals(trajectories);
+        if trajectories.is_empty() {
+            return None;
+        }
+        let episodes = EpisodeTally::of(&trajectories);
+        let n_steps = trajectories.iter().map(n_env_steps).sum();
+        let mut trial = Trial::new(&trajectories, &self.setup.catalog);
+        self.record(&trajectories);
+        let before = (self.ppo.trained(), self.state.clone());
+
+        let is_sampled = |trajectory: &Trajectory| trajectory.behavior_policy == BehaviorPolicy::Sampled;
+        let (sampled, others): (Vec<_>, Vec<_>) = trajectories.into_iter().partition(is_sampled);
+        let mut batch = self.batch(sampled);
+        // The statistics come from raw features and take effect with the next weights.
+        let statistics = self.statistics_after(&batch, others);
+        normalize(&mut batch.features, &self.state.normalization);
+        let learned = self.ppo.update(&mut batch, &self.setup.config, &mut Progress::of(&mut self.state));
+        self.adopt(statistics);
+        self.state.version.0 += 1;
+
+        trial.leave_out(&batch.refused);
+        let refused = self.refusal(&learned.ppo, &trial);
+        if refused.is_some() {
+            self.take_back(before);
+        }
+        self.count(n_steps, &episodes, &batch);
+        Some(self.metrics(Update { batch: &batch, n_steps, learned, episodes: episodes.metrics(), refused }))
+    }
+
+    /// Runs one [update](Self::update) on the oldest trajectories of the mailbox; `None` if there are not enough.
+    pub fn update_from_mailbox(&mut self) -> Option<UpdateMetrics> {
+        self.update(self.mailbox.take(self.setup.config.steps_per_update))
+    }
+
+    pub(crate) fn batch(&self, trajectories: Vec<Trajectory>) -> Batch {
+        Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy)
+    }
+}

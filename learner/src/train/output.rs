@@ -1,0 +1,215 @@
+//! Where weights and metrics go: the bus, this process, and the run folder.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use blueprints::outside::as_text;
+use bus::Pulse;
+use proto::metrics::{BusCounts, IngestCounts, LearnerMetrics, METRICS_SCHEMA_VERSION};
+use proto::{Weights, WeightsVersion};
+use runlog::{MetricsWriter, RunPaths};
+use serde::Serialize;
+use tokio::sync::{mpsc, watch};
+use tokio_util::sync::CancellationToken;
+
+use super::saving::Saving;
+use crate::config::CheckpointConfig;
+use crate::learner::Learner;
+use crate::mailbox::MailboxCounts;
+use crate::metrics::UpdateMetrics;
+
+/// Time between attempts of a run to save what it could not. Training waits so long.
+pub const SAVE_RETRY: Duration = Duration::from_secs(30);
+
+/// The result of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Version of the newest weights.
+    pub weights_version: WeightsVersion,
+    /// Updates, including those before a resume.
+    pub n_updates: u64,
+    /// Environment steps, including those before a resume.
+    pub n_env_steps: u64,
+    /// Elapsed seconds, including those before a resume.
+    pub run_elapsed_s: f64,
+    /// Number of trajectories by result.
+    pub mailbox: MailboxCounts,
+    /// The last checkpoint.
+    #[serde(serialize_with = "as_text")]
+    pub checkpoint: PathBuf,
+    /// The newest weights themselves, for an evaluator in this process.
+    #[serde(skip)]
+    pub weights: Arc<Weights>,
+}
+
+/// A message from the updating thread to the bus.
+pub(crate) struct Publication {
+    pub(crate) weights: Arc<Weights>,
+    /// `None` for the initial weights of the run.
+    pub(crate) metrics: Option<LearnerMetrics>,
+}
+
+/// What the updating thread writes to.
+pub(crate) struct Output {
+    pub(crate) run_dir: RunPaths,
+    pub(crate) records: MetricsWriter,
+    pub(crate) checkpoints: CheckpointConfig,
+    pub(crate) saving: Saving,
+    pub(crate) save_retry: Duration,
+    /// Steps of an update, and of the run.
+    pub(crate) steps_per_update: usize,
+    pub(crate) max_env_steps: Option<u64>,
+    pub(crate) publications: mpsc::Sender<Publication>,
+    /// Gets the metrics of every update too.
+    pub(crate) told: watch::Sender<Option<LearnerMetrics>>,
+    pub(crate) counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
+    pub(crate) shutdown: CancellationToken,
+    pub(crate) pulse: Pulse,
+    pub(crate) clock: Clock,
+    /// The learner's newest weights.
+    pub(crate) newest: Arc<Weights>,
+}
+
+/// The clock of a run.
+pub(crate) struct Clock {
+    start: Instant,
+    /// Seconds that the run took before this process.
+    before_s: f64,
+    update_start: Instant,
+    last_update: Instant,
+}
+
+impl Clock {
+    /// Starts the clock of a run that has taken `before_s` seconds.
+    pub(crate) fn new(before_s: f64) -> Self {
+        let start = Instant::now();
+        Self { start, before_s, update_start: start, last_update: start }
+    }
+
+    fn run_elapsed_s(&self) -> f64 {
+        self.before_s + self.start.elapsed().as_secs_f64()
+    }
+}
+
+impl Output {
+    /// Returns the newest weights.
+    pub(super) fn newest(&self) -> &Weights {
+        &self.newest
+    }
+
+    /// Returns how many steps the next update takes; `None` if the run ends.
+    pub(super) fn next_steps(&self, learner: &Learner) -> Option<usize> {
+        self.pulse.beat();
+        let n_left = self.max_env_steps.map(|max| max.saturating_sub(learner.n_env_steps()));
+        // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
+        let is_over = n_left == Some(0) || self.is_stopped();
+        (!is_over).then(|| next_steps(self.steps_per_update, n_left))
+    }
+
+    pub(super) fn is_stopped(&self) -> bool {
+        self.shutdown.is_cancelled() || self.publications.is_closed()
+    }
+
+    /// Starts to measure an update.
+    pub(super) fn start_update(&mut self) {
+        self.clock.update_start = Instant::now();
+    }
+
+    /// Publishes the weights that the run begins with.
+    pub(super) fn publish_first(&mut self, learner: &Learner) {
+        self.newest = Arc::new(learner.weights());
+        self.send(None);
+    }
+
+    /// Publishes the weights and metrics of an update.
+    pub(super) fn publish(&mut self, learner: &Learner, update: &UpdateMetrics) {
+        self.newest = Arc::new(learner.weights());
+        let metrics = self.metrics(update);
+        self.clock.last_update = Instant::now();
+        self.send(Some(metrics.clone()));
+        self.saving.metrics = Some(metrics);
+    }
+
+    /// Shows the metrics in this process, and hands them and the newest weights to the bus, unless the session failed.
+    pub(super) fn send(&self, metrics: Option<LearnerMetrics>) {
+        if let Some(metrics) = &metrics {
+            self.told.send_replace(Some(metrics.clone()));
+        }
+        let publication = Publication { weights: self.newest.clone(), metrics };
+        if self.publications.blocking_send(publication).is_err() {
+            tracing::debug!("the weights were not published, because the session failed");
+        }
+    }
+
+    /// Returns the result of the run so far.
+    pub(super) fn summary(&self, learner: &Learner, checkpoint: PathBuf) -> Summary {
+        Summary {
+            weights_version: learner.version(),
+            n_updates: learner.n_updates(),
+            n_env_steps: learner.n_env_steps(),
+            run_elapsed_s: self.clock.run_elapsed_s(),
+            mailbox: learner.mailbox().counts(),
+            checkpoint,
+            weights: self.newest.clone(),
+        }
+    }
+
+    fn metrics(&self, update: &UpdateMetrics) -> LearnerMetrics {
+        let (ingest, bus) = (self.counts)();
+        let Clock { start, update_start, last_update, .. } = &self.clock;
+        LearnerMetrics {
+            schema_version: METRICS_SCHEMA_VERSION,
+            weights_version: update.weights_version,
+            n_updates: update.n_updates,
+            n_env_steps: update.n_env_steps,
+            n_update_steps: update.n_steps,
+            n_episodes: update.n_episodes,
+            elapsed_s: start.elapsed().as_secs_f64(),
+            run_elapsed_s: self.clock.run_elapsed_s(),
+            env_steps_per_s: update.n_steps as f64 / last_update.elapsed().as_secs_f64().max(1e-9),
+            update_s: update_start.elapsed().as_secs_f64(),
+            policy_lag_mean: update.policy_lag_mean,
+            policy_lag_max: update.policy_lag_max,
+            policy_lag_histogram: update.policy_lag_histogram.clone(),
+            n_mailbox: update.n_mailbox,
+            expired_total: update.mailbox.expired_total,
+            unmade_total: update.unmade_total,
+            refused_total: update.refused_total,
+            ppo: update.ppo,
+            proposals: update.proposals.clone(),
+            episodes: update.episodes.clone(),
+            ingest,
+            bus,
+            task_probabilities: update.task_probabilities.clone(),
+            reverse_reach: update.reverse_reach.clone(),
+            not_saved: None,
+        }
+    }
+}
+
+/// Returns how many steps the next update takes if `n_left` are left of the run: `per_update`, but the last two updates
+/// share what is left. So a run ends with the step that was asked for, give or take the rest of a segment, and not with
+/// an update of a handful of steps.
+fn next_steps(per_update: usize, n_left: Option<u64>) -> usize {
+    match n_left.and_then(|n| usize::try_from(n).ok()) {
+        Some(n) if n <= per_update => n.max(1),
+        Some(n) if n < 2 * per_update => n.div_ceil(2),
+        _ => per_update,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::next_steps;
+
+    #[test]
+    fn the_last_two_updates_share_what_is_left() {
+        assert_eq!(next_steps(2048, None), 2048);
+        for (n_left, expected) in [(10_000, 2048), (4096, 2048), (4095, 2048), (2500, 1250), (2048, 2048), (1250, 1250)]
+        {
+            assert_eq!(next_steps(2048, Some(n_left)), expected, "{n_left}");
+        }
+        assert_eq!((next_steps(2048, Some(1)), next_steps(1, Some(1))), (1, 1));
+    }
+}
