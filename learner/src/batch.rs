@@ -8,6 +8,7 @@ use policy::proposals::Slot;
 use policy::{FeatureBatch, MoveHead, PolicyConfig};
 use proto::{Action, BehaviorPolicy, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
 
+use crate::advantages::{Estimator, Steps};
 use crate::draws::{self, Draws};
 use crate::gae;
 use crate::mailbox::policy_lag;
@@ -161,16 +162,21 @@ impl Batch {
         self.actions.len()
     }
 
-    /// Computes the advantages of all samples from the `values` of all rows, both in reward units. With `deadline`,
-    /// returns end at the time limit.
-    pub fn advantages(&self, values: &[f32], gamma: f32, lambda: f32, deadline: bool) -> Vec<f32> {
+    /// Estimates the advantages of all samples from the `values` of all rows, both in reward units, and the importance
+    /// `ratios` of all samples. With `deadline`, returns end at the time limit.
+    pub fn advantages(&self, estimator: &dyn Estimator, values: &[f32], ratios: &[f32], deadline: bool) -> Vec<f32> {
         let n_samples = self.n_samples();
         let mut advantages = vec![0.0; n_samples];
         for (segment, &last_value) in self.segments.iter().zip(&values[n_samples..]) {
             let samples = segment.samples.clone();
             let bootstrap = gae::bootstrap_value(segment.status, last_value, deadline);
-            let (rewards, values) = (&self.rewards[samples.clone()], &values[samples.clone()]);
-            gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[samples]);
+            let steps = Steps {
+                rewards: &self.rewards[samples.clone()],
+                values: &values[samples.clone()],
+                bootstrap,
+                ratios: &ratios[samples.clone()],
+            };
+            estimator.advantages(&steps, &mut advantages[samples]);
         }
         advantages
     }
@@ -194,6 +200,9 @@ fn picked<T: Clone>(all: &[T], rows: &[usize]) -> Vec<T> {
 mod tests {
     use super::*;
     use crate::fixtures::trajectory;
+    use crate::gae::Gae;
+
+    const SUMS: Gae = Gae { gamma: 1.0, lambda: 1.0 };
 
     fn batch_of(trajectories: Vec<Trajectory>) -> Batch {
         Batch::new(trajectories, WeightsVersion(5), Catalog::builtin(), &PolicyConfig::default())
@@ -204,7 +213,8 @@ mod tests {
         let mut late = trajectory(2, 5);
         late.status = Status::TimeLimit;
         // No rewards, γ = λ = 1, and a last scene with value 4.
-        let advantages = |deadline| batch_of(vec![late.clone()]).advantages(&[0.0, 0.0, 4.0], 1.0, 1.0, deadline);
+        let advantages =
+            |deadline| batch_of(vec![late.clone()]).advantages(&SUMS, &[0.0, 0.0, 4.0], &[1.0; 2], deadline);
         assert_eq!(advantages(false), [4.0, 4.0]);
         assert_eq!(advantages(true), [0.0, 0.0]);
     }
@@ -241,6 +251,6 @@ mod tests {
         assert_eq!(batch.lag_histogram(), [3, 0, 2]);
         // γ = λ = 1; all values are 0 except those of the last scenes, 7 (ignored: success) and 4.
         let values = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, 4.0];
-        assert_eq!(batch.advantages(&values, 1.0, 1.0, false), [1.0, 1.0, 4.0, 4.0, 4.0]);
+        assert_eq!(batch.advantages(&SUMS, &values, &[1.0; 5], false), [1.0, 1.0, 4.0, 4.0, 4.0]);
     }
 }

@@ -8,6 +8,9 @@ use proto::setting::{InvalidSetting, Section, Setting, above, key};
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
+use crate::advantages::Estimator;
+use crate::gae::Gae;
+
 pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, ReverseConfig, UniformConfig, WideningConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use schedule::Schedule;
@@ -123,6 +126,11 @@ impl Section for RateLine {
 }
 
 impl LearnerConfig {
+    /// Returns the estimator of advantages.
+    pub fn estimator(&self) -> Box<dyn Estimator> {
+        Box::new(Gae { gamma: self.gamma, lambda: self.lambda })
+    }
+
     fn mailbox_holds_an_update(&self, path: &str) -> Result<(), InvalidSetting> {
         let capacity = self.mailbox.capacity_steps;
         let key = format_args!("{path}.mailbox.capacity_steps");

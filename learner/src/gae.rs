@@ -2,34 +2,35 @@
 
 use proto::Status;
 
-/// Computes the advantages of a segment: `A_t = δ_t + γλ A_{t+1}` with `δ_t = r_t + γ v_{t+1} − v_t` and `A = 0` past
-/// the end (Schulman et al., "High-dimensional continuous control using generalized advantage estimation", eq. 16).
-///
-/// `bootstrap` is the value after the last step; see [`bootstrap_value`]. Only `bootstrap` distinguishes a time limit
-/// or a cut from a true end. Treating the limit as an end would teach the critic that long episodes are worthless.
-///
-/// # Shapes
-/// `rewards`, `values`, and `advantages` have one entry per step, all in the same units.
-///
-/// # Panics
-/// If the lengths differ.
-pub fn advantages(rewards: &[f32], values: &[f32], bootstrap: f32, gamma: f32, lambda: f32, advantages: &mut [f32]) {
-    assert!(
-        rewards.len() == values.len() && rewards.len() == advantages.len(),
-        "one reward, value and advantage a step"
-    );
-    let mut next_value = bootstrap;
-    let mut next_advantage = 0.0;
-    for t in (0..rewards.len()).rev() {
-        let delta = rewards[t] + gamma * next_value - values[t];
-        next_advantage = delta + gamma * lambda * next_advantage;
-        advantages[t] = next_advantage;
-        next_value = values[t];
+use crate::advantages::{Estimator, Steps};
+
+/// `A_t = δ_t + γλ A_{t+1}` with `δ_t = r_t + γ v_{t+1} − v_t` and `A = 0` past the end (Schulman et al.,
+/// "High-dimensional continuous control using generalized advantage estimation", eq. 16).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gae {
+    /// Discount per step, γ.
+    pub gamma: f32,
+    /// Weight of later errors, λ.
+    pub lambda: f32,
+}
+
+impl Estimator for Gae {
+    fn advantages(&self, steps: &Steps<'_>, advantages: &mut [f32]) {
+        let Steps { rewards, values, bootstrap, .. } = *steps;
+        let mut next_value = bootstrap;
+        let mut next_advantage = 0.0;
+        for t in (0..rewards.len()).rev() {
+            let delta = rewards[t] + self.gamma * next_value - values[t];
+            next_advantage = delta + self.gamma * self.lambda * next_advantage;
+            advantages[t] = next_advantage;
+            next_value = values[t];
+        }
     }
 }
 
 /// Returns the value after a segment's last step: 0 after success, and at the time limit if it is a deadline; otherwise
-/// the critic's value of the last scene.
+/// the critic's value of the last scene. Treating every limit as an end would teach the critic that long episodes are
+/// worthless.
 pub fn bootstrap_value(status: Status, last_value: f32, is_deadline: bool) -> f32 {
     match status {
         Status::Success => 0.0,
@@ -56,12 +57,15 @@ mod tests {
     #[test]
     fn advantages_match_a_hand_worked_segment() {
         // γ = 0.5, λ = 0.5. δ₁ = 2 + 0.5·4 − 2 = 2; δ₀ = 1 + 0.5·2 − 1 = 1; A₁ = 2; A₀ = 1 + 0.25·2 = 1.5.
-        let mut out = [0.0; 2];
-        advantages(&[1.0, 2.0], &[1.0, 2.0], 4.0, 0.5, 0.5, &mut out);
-        assert_eq!(out, [1.5, 2.0]);
+        let of = |bootstrap| {
+            let steps = Steps { rewards: &[1.0, 2.0], values: &[1.0, 2.0], bootstrap, ratios: &[1.0; 2] };
+            let mut out = [0.0; 2];
+            Gae { gamma: 0.5, lambda: 0.5 }.advantages(&steps, &mut out);
+            out
+        };
+        assert_eq!(of(4.0), [1.5, 2.0]);
         // Success: δ₁ = 2 − 2 = 0, so A₁ = 0 and A₀ = 1.
-        advantages(&[1.0, 2.0], &[1.0, 2.0], bootstrap_value(Status::Success, 4.0, false), 0.5, 0.5, &mut out);
-        assert_eq!(out, [1.0, 0.0]);
+        assert_eq!(of(bootstrap_value(Status::Success, 4.0, false)), [1.0, 0.0]);
     }
 
     #[test]

@@ -1,13 +1,14 @@
 //! The learner: PPO from trajectories to weights, with checkpoints and curriculum.
 //!
 //! [`train`] is the algorithm on one page. What it calls: [`source`] and [`mailbox`] (where trajectories come from),
-//! [`batch`], [`ppo`], [`loss`], [`gae`], [`adam`]; [`curriculum`] and [`reverse`] (what is played next); [`learner`]
+//! [`batch`], `ppo`, [`loss`], [`advantages`], [`gae`], [`adam`]; [`curriculum`] and [`reverse`] (what is played next); [`learner`]
 //! (the state, and how it is resumed) and [`checkpoint`]. [`mod@run`] is the service on the bus.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod adam;
 pub mod admission;
+pub mod advantages;
 pub mod batch;
 pub mod checkpoint;
 pub mod config;
@@ -33,6 +34,11 @@ pub mod state;
 mod tests;
 pub mod train;
 mod trial;
+
+/// The examples of the page for contributors.
+#[cfg(doctest)]
+#[doc = include_str!("../../CONTRIBUTING.md")]
+struct Contributing;
 
 pub use admission::{ActingLimits, Admission};
 pub use checkpoint::{Checkpoint, CheckpointError};

@@ -56,12 +56,17 @@ impl RatioStatistics {
     }
 }
 
-/// Returns the importance weights `π_now / π_acted` of the samples, at most 2.
+/// Returns the importance ratios `π_now / π_acted` of the samples from their log-probabilities.
 ///
 /// # Shapes
 /// One entry per sample.
-pub fn behavior_weights(now: &[f32], acted: &[f32]) -> Vec<f32> {
-    now.iter().zip(acted).map(|(now, acted)| (now - acted).exp().min(MAX_BEHAVIOR_WEIGHT)).collect()
+pub fn importance_ratios(now: &[f32], acted: &[f32]) -> Vec<f32> {
+    now.iter().zip(acted).map(|(now, acted)| (now - acted).exp()).collect()
+}
+
+/// Returns the importance ratios, at most 2.
+pub fn behavior_weights(ratios: &[f32]) -> Vec<f32> {
+    ratios.iter().map(|ratio| ratio.min(MAX_BEHAVIOR_WEIGHT)).collect()
 }
 
 /// Returns `(Σw)² / (n Σw²)` of importance weights, the effective fraction of the samples; 1 if all weights are equal.
@@ -94,7 +99,7 @@ mod tests {
         assert!((effective_sample_size(&[-1.0, -2.0], &[-1.0, -2.0]) - 1.0).abs() < 1e-12);
         // Weights 1 and 3: 16 / (2 · 10) = 0.8.
         assert!((effective_sample_size(&[0.0, 3.0f32.ln()], &[0.0, 0.0]) - 0.8).abs() < 1e-6);
-        assert_eq!(behavior_weights(&[0.0, 3.0f32.ln()], &[0.0, 0.0]), [1.0, 2.0]);
+        assert_eq!(behavior_weights(&importance_ratios(&[0.0, 3.0f32.ln()], &[0.0, 0.0])), [1.0, 2.0]);
     }
 
     #[test]

@@ -17,7 +17,7 @@ use crate::batch::Batch;
 use crate::config::{LearnerConfig, Objective, RateRule};
 use crate::draws;
 use crate::gae;
-use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance};
+use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance, importance_ratios};
 use crate::normalization::ValueStatistics;
 use crate::state::LearnerState;
 use passes::{LossSums, Targets};
@@ -167,8 +167,10 @@ impl Ppo {
             before = self.workers.evaluate(batch);
         }
         let batch = &*batch;
+        let ratios = importance_ratios(&before.log_probs, &batch.behavior_log_probs);
+        let estimator = config.estimator();
         let values = in_reward_units(&before.values, progress.values);
-        let advantages = batch.advantages(&values, config.gamma, config.lambda, config.deadline);
+        let advantages = batch.advantages(&*estimator, &values, &ratios, config.deadline);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
         if config.normalization.values && returns.iter().all(|x| x.is_finite()) {
             let next = progress.values.after(&returns);
@@ -177,15 +179,11 @@ impl Ppo {
         }
         let (reference, weights) = match config.loss.objective {
             Objective::Standard => (&batch.behavior_log_probs, vec![1.0; batch.n_samples()]),
-            Objective::Decoupled => (&before.log_probs, behavior_weights(&before.log_probs, &batch.behavior_log_probs)),
+            Objective::Decoupled => (&before.log_probs, behavior_weights(&ratios)),
         };
-        let mut targets = Targets {
-            loss: terms,
-            reference,
-            weights,
-            advantages: scaled(advantages),
-            value_targets: normalized(&returns, progress.values),
-        };
+        let mut targets =
+            Targets { loss: terms, reference, weights, advantages: Vec::new(), value_targets: Vec::new() };
+        targets.refresh(advantages, &values, progress.values);
 
         let mut steps = Steps::default();
         let mut moved = RatioStatistics::default();
@@ -194,7 +192,9 @@ impl Ppo {
             if epoch > 0 {
                 // The critic has changed, so recompute the stale advantages (Andrychowicz et al., "What matters in
                 // on-policy reinforcement learning", section 3.5).
-                self.refresh(batch, config, progress.values, &mut targets);
+                let values = in_reward_units(&self.workers.values(batch), progress.values);
+                let advantages = batch.advantages(&*estimator, &values, &ratios, config.deadline);
+                targets.refresh(advantages, &values, progress.values);
             }
             moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
         }
@@ -286,22 +286,6 @@ impl Ppo {
         true
     }
 
-    /// Recomputes advantages and value targets with the current network.
-    fn refresh(
-        &mut self,
-        batch: &Batch,
-        config: &LearnerConfig,
-        statistics: &ValueStatistics,
-        targets: &mut Targets<'_>,
-    ) {
-        let values = self.workers.values(batch);
-        let values = in_reward_units(&values, statistics);
-        let advantages = batch.advantages(&values, config.gamma, config.lambda, config.deadline);
-        let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
-        targets.value_targets = normalized(&returns, statistics);
-        targets.advantages = scaled(advantages);
-    }
-
     fn rescale_value_head(&mut self, from: &ValueStatistics, to: &ValueStatistics) {
         let mut bias = self.parameters[self.value_head.bias];
         from.rescale_head(to, &mut self.parameters[self.value_head.weights.clone()], &mut bias);
@@ -337,10 +321,14 @@ impl ValueHead {
     }
 }
 
-/// Scales advantages for the policy loss.
-fn scaled(mut advantages: Vec<f32>) -> Vec<f32> {
-    gae::normalize(&mut advantages);
-    advantages
+impl Targets<'_> {
+    /// Takes new advantages, and the `values` that they were estimated with, both in reward units.
+    fn refresh(&mut self, mut advantages: Vec<f32>, values: &[f32], statistics: &ValueStatistics) {
+        let returns: Vec<f32> = advantages.iter().zip(values).map(|(a, v)| a + v).collect();
+        self.value_targets = normalized(&returns, statistics);
+        gae::normalize(&mut advantages);
+        self.advantages = advantages;
+    }
 }
 
 fn in_reward_units(values: &[f32], statistics: &ValueStatistics) -> Vec<f32> {

@@ -6,7 +6,7 @@
 //!     └─────────────── the newest weights ───────────────┘
 //! ```
 //!
-//! [`Source`] finds trajectories, [`Batch`] turns them into inputs of the network, [`ppo`](crate::ppo) takes gradient
+//! [`Source`] finds trajectories, [`Batch`] turns them into inputs of the network, `ppo` takes gradient
 //! steps on the [`loss`](crate::loss) with advantages by [`gae`](crate::gae), and [`Output`] hands the weights to the bus
 //! and to the run folder.
 

@@ -5,9 +5,10 @@
 use blueprints::{BlockIdx, BlueprintId};
 use burn::tensor::{Device, Tensor, TensorData};
 use learner::adam::{Adam, BETA1, BETA2, EPSILON, LearningRate, clip_global_norm};
+use learner::advantages::{Estimator as _, Steps};
 use learner::config::{CurriculumConfig, PaperConfig};
 use learner::curriculum::Curriculum;
-use learner::gae;
+use learner::gae::{self, Gae};
 use learner::loss::{RatioStatistics, policy_loss, value_loss};
 use policy::loss_terms::{self, ActionTensors};
 use policy::network::{MoveTensors, NetworkOutput};
@@ -60,7 +61,8 @@ fn gae_distinguishes_time_limit_from_termination() {
             let segment = first..t + 1;
             let (rewards, values) = (&rewards[segment.clone()], &values[segment.clone()]);
             let bootstrap = gae::bootstrap_value(status, last, false);
-            gae::advantages(rewards, values, bootstrap, gamma, lambda, &mut advantages[segment]);
+            let steps = Steps { rewards, values, bootstrap, ratios: &[] };
+            Gae { gamma, lambda }.advantages(&steps, &mut advantages[segment]);
             first = t + 1;
         }
         close("advantages", &advantages, &column("advantages", j), 1e-6);
