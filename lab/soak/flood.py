@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Floods a ring with the keys of an actor, and prints how much of its speed the ring keeps.
 
-Usage: python tests/soak/flood.py --binary target/debug/lodestone [--seconds 20] [--json FILE]
+Usage: python lab/soak/flood.py --binary target/debug/lodestone [--seconds 20] [--json FILE]
 
 Needs the Python package eclipse-zenoh (pip install -r deploy/examples/requirements.txt) and `setpriv` from util-linux.
 A router with keys, a learner, and an actor train `near-goal` on loopback. One processor is the flooder's. The speed

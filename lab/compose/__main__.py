@@ -1,6 +1,6 @@
 """Starts the ring of deploy/compose.yaml in containers, injects faults, and checks what was lost.
 
-Usage: python tests/compose/run.py --binary target/debug/lodestone [--compose COMMAND] [--patience X] [--keep]
+Usage: python lab/compose --binary target/debug/lodestone [--compose COMMAND] [--patience X] [--keep]
 
 Needs root, the Debian packages docker.io, docker-compose, debootstrap, and iptables (or a daemon and Compose from
 elsewhere), the Python package eclipse-zenoh, and `strip`. With the package prometheus, it also checks monitoring. It

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Trains on real Slurm clusters whose controllers and nodes run in temporary namespaces on this machine.
 
-usage: python3 tests/slurm/run.py --binary target/debug/lodestone
+usage: python3 lab/slurm --binary target/debug/lodestone
 
 Needs root and the programs of Debian's slurm-wlm, munge, and iproute2. Touches nothing outside its namespaces: its
 mounts, sockets, and files disappear when it exits, even if it is killed.
