@@ -1,18 +1,13 @@
-#!/usr/bin/env python3
 """Floods a ring with the keys of an actor, and prints how much of its speed the ring keeps.
 
-Usage: python lab/soak/flood.py --binary target/debug/lodestone [--seconds 20] [--json FILE]
+Usage: python3 -m lab.soak.flood --binary target/debug/lodestone [--seconds 20] [--only FLOOD]
 
-Needs the Python package eclipse-zenoh (pip install -r deploy/examples/requirements.txt) and `setpriv` from util-linux.
 A router with keys, a learner, and an actor train `near-goal` on loopback. One processor is the flooder's. The speed
 under a flood is compared with the speed beside a busy loop on that processor, and the speed from 5 s after the flood
 with the speed when nothing disturbs the ring. docs/soak.md has the figures.
 """
 
-from __future__ import annotations
-
 import argparse
-import json
 import os
 import shutil
 import subprocess
@@ -26,10 +21,13 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from ring import ENDLESS, free_port
+import zenoh
+
+from ..ring import bus, records
+from ..ring.checks import require_none, until
+from ..ring.processes import ENDLESS, Process, demand, free_port, run
 
 RUN = "near-goal"
-ROLES = ("router", "learner", "actor")
 READY_S = 120.0
 # After the end of a flood, the time until the ring must have its speed back.
 BACK_S = 5.0
@@ -39,50 +37,20 @@ GOAL_UNDER, GOAL_AFTER = 0.8, 0.95
 # What a flooder sends without waiting for answers: arguments of `Session.get` or `Session.put`, by number of the message.
 FLOODS: dict[str, Callable[[int], tuple[str, dict[str, Any]]]] = {
     "pulls": lambda number: ("weights/latest", {}),
-    "pulls under invented names": lambda number: ("weights/latest?session=flood-%d" % number, {}),
+    "pulls under invented names": lambda number: (f"weights/latest?session=flood-{number}", {}),
     "garbage": lambda number: (f"ingest/flood-{number % 7}", {"payload": b"garbage" + bytes(200)}),
     "metrics": lambda number: ("metrics/actor/flood", {"payload": b"garbage" + bytes(200)}),
 }
 
 
-def arguments() -> argparse.Namespace:
-    """Parses the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--binary", type=Path, required=True, help="the program lodestone")
-    parser.add_argument("--seconds", type=float, default=20.0, help="length of each measurement [default: 20]")
-    parser.add_argument("--only", choices=FLOODS, help="one of the floods")
-    parser.add_argument("--json", type=Path, help="write the figures into this file")
-    parser.add_argument("--send", choices=FLOODS, help=argparse.SUPPRESS)
-    parser.add_argument("--endpoint", help=argparse.SUPPRESS)
-    parser.add_argument("--keys", type=Path, help=argparse.SUPPRESS)
-    return parser.parse_args()
-
-
-def send(flood: str, endpoint: str, keys: Path) -> None:
+def send(flood: str, endpoint: str, keys: str) -> None:
     """Floods until it is killed. Prints the number of messages sent and of replies so far, once a second."""
-    import zenoh
-
-    user, password = (keys / "password").read_text().strip().split(":", 1)
-    config = zenoh.Config()
-    for key, value in {
-        "mode": "client",
-        "connect/endpoints": [endpoint],
-        "scouting/multicast/enabled": False,
-        "transport/auth/usrpwd": {"user": user, "password": password},
-        "transport/link/tls": {
-            "root_ca_certificate": str(keys / "ca.pem"),
-            "connect_certificate": str(keys / "cert.pem"),
-            "connect_private_key": str(keys / "key.pem"),
-            "enable_mtls": True,
-        },
-    }.items():
-        config.insert_json5(key, json.dumps(value))
-    replies = [0, 0]
+    replies = {"answered": 0, "refused": 0}
 
     def take(reply: zenoh.Reply) -> None:
-        replies[reply.ok is None] += 1
+        replies["answered" if reply.ok else "refused"] += 1
 
-    with zenoh.open(config) as session:
+    with zenoh.open(bus.config(endpoint, Path(keys))) as session:
         told_at = time.monotonic()
         for number in count():
             key, given = FLOODS[flood](number)
@@ -92,165 +60,103 @@ def send(flood: str, endpoint: str, keys: Path) -> None:
                 session.get(f"lodestone/{RUN}/{key}", take, timeout=60, **given)
             if time.monotonic() > told_at + 1:
                 told_at = time.monotonic()
-                print(number, *replies, flush=True)
+                print(f"sent {number}", replies, flush=True)
 
 
-class Ring:
-    """A router with keys, a learner, and an actor."""
+def start(binary: Path, folder: Path, endpoint: str) -> list[Process]:
+    """Starts a router with keys, a learner, and an actor, and waits for the first updates."""
+    run([binary, "keys", "new", folder / "keys"])
+    join = ["--connect", endpoint, "--preset", RUN]
+    own = {
+        "router": ["--listen", endpoint],
+        "learner": [*join, "--run-dir", str(folder / "run"), "--steps", str(ENDLESS)],
+        "actor": [*join, "--id", "honest"],
+    }
+    started = [
+        Process([str(binary), role, *words, "--keys", str(folder / "keys" / role)], folder / f"{role}.log")
+        for role, words in own.items()
+    ]
+    until("the first updates", READY_S, lambda: len(records.entries(folder / "run")) >= 3)
+    return started
 
-    def __init__(self, binary: Path, folder: Path) -> None:
-        self.folder = folder
-        self.keys = folder / "keys"
-        self.endpoint = f"quic/127.0.0.1:{free_port()}"
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._binary = str(binary.resolve())
 
-    def start(self) -> None:
-        """Starts all members and waits for the first updates."""
-        subprocess.run([self._binary, "keys", "new", str(self.keys)], check=True, capture_output=True)
-        join = ["--connect", self.endpoint, "--preset", RUN]
-        learner = ["learner", *join, "--run-dir", str(self.folder / "run"), "--steps", ENDLESS]
-        self._launch("router", ["router", "--listen", self.endpoint])
-        self._launch("learner", learner)
-        self._launch("actor", ["actor", *join, "--id", "honest"])
-        deadline = time.monotonic() + READY_S
-        while len(self.updates()) < 3:
-            if time.monotonic() > deadline:
-                sys.exit(f"no update within {READY_S:.0f} s: see the logs in {self.folder}")
-            time.sleep(0.1)
-
-    def _launch(self, role: str, command: list[str]) -> None:
-        command = ["setpriv", "--pdeathsig", "KILL", self._binary, *command, "--keys", str(self.keys / role)]
-        with (self.folder / f"{role}.log").open("wb") as log:
-            self.processes[role] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-
-    def stop(self) -> None:
-        """Ends all members."""
-        for process in reversed(self.processes.values()):
-            process.terminate()
-        for process in self.processes.values():
-            try:
-                process.wait(30)
-            except subprocess.TimeoutExpired:
-                process.kill()
-
-    def updates(self) -> list[dict[str, Any]]:
-        """Returns the learner's whole lines so far."""
-        try:
-            text = (self.folder / "run" / "metrics.jsonl").read_text()
-        except FileNotFoundError:
-            return []
-        return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
-
-    def status(self, role: str, field: str) -> int:
-        """Returns a number of /proc/PID/status."""
-        lines = Path(f"/proc/{self.processes[role].pid}/status").read_text().splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith(f"{field}:"))
-
-    def cpu_s(self, role: str) -> float:
-        """Returns the seconds that a member has computed so far."""
-        fields = Path(f"/proc/{self.processes[role].pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-    def measure(self, seconds: float) -> dict[str, Any]:
-        """Returns the speed over a time from now on, between the first and the last update in it, and what the learner
-        counted meanwhile."""
-        before = self.updates()
-        threads = 0
-        computed = {role: self.cpu_s(role) for role in ROLES}
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            time.sleep(0.2)
-            threads = max(threads, *(self.status(role, "Threads") for role in ROLES))
-        cores = {role: round((self.cpu_s(role) - computed[role]) / seconds, 2) for role in ROLES}
-        lines = self.updates()
-        fresh = lines[len(before) :]
-        if len(fresh) >= 2:
-            elapsed = fresh[-1]["elapsed_s"] - fresh[0]["elapsed_s"]
-            speed = (fresh[-1]["n_env_steps"] - fresh[0]["n_env_steps"]) / elapsed
-        else:
-            speed = (lines[-1]["n_env_steps"] - before[-1]["n_env_steps"]) / seconds
-        counted = {
-            name: lines[-1][part][name] - before[-1][part][name]
-            for part, name in (("bus", "queries_dropped_total"), ("ingest", "invalid_total"))
-        }
-        # The standstill of a disturbed ring is the longest time between two updates.
-        times = [line["elapsed_s"] for line in (before[-1], *fresh)]
-        pause = max((late - early for early, late in zip(times, times[1:])), default=seconds)
-        return {"steps_per_s": round(speed), "longest_pause_s": round(pause, 1), "threads": threads, "cores": cores, **counted}
+def measure(run_dir: Path, seconds: float) -> dict[str, float]:
+    """Returns the speed between the first and the last update of a time from now on, and what was counted in it."""
+    before = records.entries(run_dir)
+    time.sleep(seconds)
+    lines = records.entries(run_dir)
+    fresh = lines[len(before) :]
+    if len(fresh) >= 2:
+        elapsed = fresh[-1]["elapsed_s"] - fresh[0]["elapsed_s"]
+        speed = (fresh[-1]["n_env_steps"] - fresh[0]["n_env_steps"]) / elapsed
+    else:
+        speed = (lines[-1]["n_env_steps"] - before[-1]["n_env_steps"]) / seconds
+    # The standstill of a disturbed ring is the longest time between two updates.
+    times = [line["elapsed_s"] for line in (before[-1], *fresh)]
+    pause = max((late - early for early, late in zip(times, times[1:])), default=seconds)
+    counts = {
+        name: lines[-1][part][name] - before[-1][part][name]
+        for part, name in (("bus", "queries_dropped_total"), ("ingest", "invalid_total"))
+    }
+    return {"steps_per_s": round(speed), "longest_pause_s": round(pause, 1), **counts}
 
 
 @contextmanager
-def beside(command: list[str], processor: int) -> Iterator[subprocess.Popen[str]]:
-    """Runs a command on one processor for as long as the block runs."""
-    command = ["setpriv", "--pdeathsig", "KILL", *command]
-    pinned = lambda: os.sched_setaffinity(0, {processor})  # noqa: E731
+def beside(*code: str) -> Iterator[list[str]]:
+    """Runs Python code on one processor for as long as the block runs, and yields the lines that it prints."""
     # A session of its own, because Linux divides the processors among sessions first.
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=pinned, start_new_session=True)
+    own = ["setpriv", "--pdeathsig", "KILL", "setsid", "taskset", "--cpu-list", str(max(os.sched_getaffinity(0)))]
+    process = subprocess.Popen([*own, sys.executable, "-c", *code], stdout=subprocess.PIPE, text=True)
+    said: list[str] = []
+    threading.Thread(target=lambda: said.extend(process.stdout or ()), daemon=True).start()
     try:
-        yield process
+        yield said
     finally:
         process.kill()
         process.wait()
 
 
-def figures(ring: Ring, seconds: float, chosen: list[str]) -> dict[str, dict[str, Any]]:
-    """Measures each flood between the two speeds that it is compared with, so that other load affects all alike."""
-    processor = max(os.sched_getaffinity(0))
-    found: dict[str, dict[str, Any]] = {}
+def judge(flood: str, folder: Path, endpoint: str, seconds: float) -> Iterator[str]:
+    """Measures a flood between the two speeds that it is compared with, so that other load affects all alike."""
 
-    def note(name: str, figure: dict[str, Any], basis: dict[str, Any] | None = None) -> dict[str, Any]:
-        if basis is not None:
-            figure = {"share": round(figure["steps_per_s"] / max(basis["steps_per_s"], 1), 2), **figure}
-        found[name] = figure
-        print(f"{name:45} {', '.join(f'{key} {value}' for key, value in figure.items())}", flush=True)
-        return figure
+    def note(name: str, more: str = "") -> float:
+        found = measure(folder / "run", seconds)
+        print(f"{name:45} {', '.join(f'{key} {value}' for key, value in found.items())} {more}", flush=True)
+        return found["steps_per_s"]
 
-    for flood in chosen:
-        undisturbed = note(f"undisturbed before {flood}", ring.measure(seconds))
-        with beside([sys.executable, "-c", "while True: pass"], processor):
-            busy = note("beside a busy loop", ring.measure(seconds))
-        command = [sys.executable, __file__, "--binary", ".", "--send", flood, "--endpoint", ring.endpoint]
-        with beside([*command, "--keys", str(ring.keys / "actor")], processor) as flooder:
-            said: list[str] = []
-            threading.Thread(target=lambda: said.extend(flooder.stdout or ()), daemon=True).start()
-            while not said and flooder.poll() is None:
-                time.sleep(0.1)
-            measured = ring.measure(seconds)
-            sent, taken, refused = map(int, said[-1].split())
-        note(flood, {**measured, "sent": sent, "answered": taken, "refused": refused}, busy)
-        time.sleep(BACK_S)
-        note(f"from {BACK_S:.0f} s after {flood}", ring.measure(seconds), undisturbed)
-    return found
+    undisturbed = note(f"undisturbed before {flood}")
+    with beside("while True: pass"):
+        busy = note("beside a busy loop")
+    code = "import sys; from lab.soak.flood import send; send(*sys.argv[1:])"
+    with beside(code, flood, endpoint, str(folder / "keys" / "actor")) as said:
+        until("the flooder sends", READY_S, lambda: list(said))
+        under = note(flood) / max(busy, 1)
+        print(said[-1].strip(), flush=True)
+    time.sleep(BACK_S)
+    after = note(f"from {BACK_S:.0f} s after {flood}") / max(undisturbed, 1)
+    for name, share, goal in (("under", under, GOAL_UNDER), ("after", after, GOAL_AFTER)):
+        print(f"{name} {flood}: {share:.2f} of the speed, the goal is {goal}")
+        if share < goal:
+            yield f"{name} {flood}"
 
 
 def main() -> int:
     """Measures, prints the figures, and returns 1 if a goal was missed."""
-    args = arguments()
-    if args.send:
-        send(args.send, args.endpoint, args.keys)
-    if not shutil.which("setpriv") or not os.access(args.binary, os.X_OK):
-        print("setpriv (package util-linux) or the program is missing", file=sys.stderr)
-        return 2
-    folder = Path(tempfile.mkdtemp(prefix="lodestone-flood-"))
-    ring = Ring(args.binary, folder)
-    try:
-        ring.start()
-        found = figures(ring, args.seconds, [args.only] if args.only else list(FLOODS))
-    finally:
-        ring.stop()
-    for role in ROLES:
-        if "panicked" in (folder / f"{role}.log").read_text(errors="replace"):
-            print(f"the {role} panicked: see {folder}")
-            return 1
+    parser = argparse.ArgumentParser(prog="python3 -m lab.soak.flood", description=__doc__.splitlines()[0])
+    parser.add_argument("--binary", type=Path, required=True, help="the program lodestone")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of each measurement [default: 20]")
+    parser.add_argument("--only", choices=FLOODS, help="one of the floods")
+    args = parser.parse_args()
+    demand(args.binary, {"setpriv": "util-linux", "taskset": "util-linux"})
+    folder, endpoint = Path(tempfile.mkdtemp(prefix="lodestone-flood-")), f"quic/127.0.0.1:{free_port()}"
+    print(f"runs and logs are in {folder}")
+    processes = start(args.binary.resolve(), folder, endpoint)
+    floods = [args.only] if args.only else FLOODS
+    missed = [miss for flood in floods for miss in judge(flood, folder, endpoint, args.seconds)]
+    for process in reversed(processes):
+        process.end(30)
+    require_none(panic for process in processes if (panic := process.panic()))
     shutil.rmtree(folder)
-    if args.json:
-        args.json.write_text(json.dumps(found, indent=2) + "\n")
-    missed = [
-        name
-        for name, figure in found.items()
-        if figure.get("share", 1) < (GOAL_AFTER if name.startswith("from") else GOAL_UNDER)
-    ]
     print(f"below its goal: {', '.join(missed) or 'none'}")
     return 1 if missed else 0
 

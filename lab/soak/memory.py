@@ -1,12 +1,11 @@
 """Checks that the memory of each role stays bounded."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
+from statistics import fmean, linear_regression
 
-from checks import require
-from members import Member
+from ..ring.checks import require
+from .members import Member
 
 # Memory limit per role in megabytes: several times the observed usage.
 LIMITS_MB = {"router": 256, "learner": 768, "actor": 256, "evaluator": 512}
@@ -21,7 +20,7 @@ LARGEST_SLOPE_MB_PER_MINUTE = 1.0
 class Sample:
     """VmRSS of one process at one point in time."""
 
-    life: tuple[str, int]
+    pid: int
     age_s: float
     mb: float
 
@@ -31,16 +30,13 @@ def slope(samples: list[Sample]) -> float:
 
     The separate intercepts keep one process's memory from counting as another's growth.
     """
-    above = below = 0.0
-    for life in {sample.life for sample in samples}:
-        own = [sample for sample in samples if sample.life == life and sample.age_s >= WARM_S]
-        if len(own) < 2:
-            continue
-        mean_age = sum(sample.age_s for sample in own) / len(own)
-        mean_mb = sum(sample.mb for sample in own) / len(own)
-        above += sum((sample.age_s - mean_age) * (sample.mb - mean_mb) for sample in own)
-        below += sum((sample.age_s - mean_age) ** 2 for sample in own)
-    return 60 * above / below if below else 0.0
+    ages: list[float] = []
+    sizes: list[float] = []
+    for pid in {sample.pid for sample in samples}:
+        own = [sample for sample in samples if sample.pid == pid and sample.age_s >= WARM_S]
+        ages += [sample.age_s - fmean(one.age_s for one in own) for sample in own]
+        sizes += [sample.mb - fmean(one.mb for one in own) for sample in own]
+    return 60 * linear_regression(ages, sizes, proportional=True).slope if any(ages) else 0.0
 
 
 class Memory:
@@ -55,32 +51,19 @@ class Memory:
 
     def sample(self, member: Member) -> None:
         """Samples the newest process of a member."""
-        kb = member.resident_kb() if member.lives else None
+        kb = member.process.status("VmRSS") if member.processes else None
         if kb is not None:
-            age = time.time() - member.life.began
-            sample = Sample((member.name, member.life.number), age, kb / 1024)
+            sample = Sample(member.process.pid, time.time() - member.process.began, kb / 1024)
             self.samples.setdefault(member.role, []).append(sample)
             if self.is_calm:
                 self.calm_samples.setdefault(member.role, []).append(sample)
 
-    def most_mb(self, role: str) -> float:
-        """Returns the largest sample of a role."""
-        return max(sample.mb for sample in self.samples[role])
-
-    def slopes_mb_per_minute(self) -> dict[str, float]:
-        """Returns the growth rate of each role's processes in the calm phase, if there is one."""
-        return {role: slope(samples) for role, samples in self.calm_samples.items()}
-
     def is_bounded(self) -> str:
         """Fails if a role exceeds its limit, or grows while no fault is active."""
         said = []
-        slopes = self.slopes_mb_per_minute()
         for role, limit in LIMITS_MB.items():
-            most, growth = self.most_mb(role), slopes.get(role)
+            most, growth = max(sample.mb for sample in self.samples[role]), slope(self.calm_samples.get(role, []))
             require(most <= limit, f"{role} took {most:.0f} MB, more than {limit}")
-            if growth is None:
-                said.append(f"{role} {most:.0f} MB")
-                continue
             require(growth <= LARGEST_SLOPE_MB_PER_MINUTE, f"{role} grows by {growth:.2f} MB a minute")
-            said.append(f"{role} {most:.0f} MB ({growth:+.2f} a minute in the calm)")
+            said.append(f"{role} {most:.0f} MB" + (f" ({growth:+.2f} a minute in the calm)" if self.calm_samples else ""))
         return ", ".join(said)

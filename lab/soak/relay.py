@@ -1,22 +1,9 @@
 """A TCP relay between one member and the router that can cut the connection."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
-import enum
 
 CHUNK = 1 << 18
-
-
-class Line(enum.Enum):
-    """How the relay treats traffic."""
-
-    WHOLE = "whole"
-    # Like a pulled cable: connections stay open, nothing passes, and sent data arrives when the cable is back.
-    SILENT = "silent"
-    # As if the other machine were gone: all connections are reset, including new ones.
-    RESET = "reset"
 
 
 class Relay:
@@ -24,8 +11,7 @@ class Relay:
 
     def __init__(self, router_port: int) -> None:
         self.port = 0
-        self.line = Line.WHOLE
-        self.n_connections = 0
+        self._is_reset = False
         self._router_port = router_port
         self._passing = asyncio.Event()
         self._passing.set()
@@ -37,16 +23,20 @@ class Relay:
         self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0, limit=CHUNK)
         self.port = self._server.sockets[0].getsockname()[1]
 
-    def cut(self, line: Line) -> None:
-        """Cuts all current and new connections until `mend`."""
-        self.line = line
+    def cut(self, reset: bool) -> None:
+        """Cuts all current and new connections until `mend`.
+
+        Like a pulled cable: nothing passes, and what was sent arrives when the cable is back. With `reset`, as if the
+        other machine were gone.
+        """
         self._passing.clear()
-        if line is Line.RESET:
+        self._is_reset = reset
+        if reset:
             self._abort()
 
     def mend(self) -> None:
         """Forwards all traffic again."""
-        self.line = Line.WHOLE
+        self._is_reset = False
         self._passing.set()
 
     async def close(self) -> None:
@@ -61,8 +51,7 @@ class Relay:
             writer.transport.abort()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.n_connections += 1
-        if self.line is Line.RESET:
+        if self._is_reset:
             writer.transport.abort()
             return
         self._writers.add(writer)

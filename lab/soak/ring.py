@@ -1,18 +1,17 @@
 """The ring under test: router, learner, three actors, and evaluator on loopback, with clients behind relays."""
 
-from __future__ import annotations
-
 import asyncio
-import socket
 import time
 from pathlib import Path
 
-import records
-from bus import ActorLife, Listener
-from checks import until
-from members import Accident, End, Member, supervise
-from memory import Memory
-from relay import Relay
+from ..ring import records
+from ..ring.bus import listens
+from ..ring.checks import eventually
+from ..ring.processes import ENDLESS, Word, free_port, settings
+from .members import Member, supervise
+from .memory import Memory
+from .relay import Relay
+from .reports import ActorLife, Reports
 
 RUN = "soak"
 N_ACTORS = 3
@@ -25,38 +24,23 @@ N_OUTSTANDING = 2
 INGEST_QUEUE = 256
 
 # Small updates and a checkpoint after every second one, so that kills hit many of them.
-SETTINGS = {
-    "learner.steps_per_update": "256",
-    "learner.minibatch_size": "128",
-    "learner.mailbox.capacity_steps": "256",
-    "learner.checkpoints.every_updates": "2",
-    "learner.checkpoints.keep": "5",
-    "actor.n_worlds": str(N_WORLDS),
-    "actor.segment_len": str(SEGMENT_LEN),
-    "actor.backlog_limit": str(BACKLOG),
+SETTINGS: dict[str, object] = {
+    "learner.steps_per_update": 256,
+    "learner.minibatch_size": 128,
+    "learner.mailbox.capacity_steps": 256,
+    "learner.checkpoints.every_updates": 2,
+    "learner.checkpoints.keep": 5,
+    "actor.n_worlds": N_WORLDS,
+    "actor.segment_len": SEGMENT_LEN,
+    "actor.backlog_limit": BACKLOG,
     "actor.full_backlog": "drop-oldest",
-    "actor.burn_in.probability": "0.0",
-    "evaluator.every.versions": "10",
-    "evaluator.episodes.n_episodes": "2",
-    "evaluator.films.groups": "[]",
+    "actor.burn_in.probability": 0.0,
+    "evaluator.every.versions": 10,
+    "evaluator.episodes.n_episodes": 2,
+    "evaluator.films.groups": [],
 }
 
-# More steps than a test can run.
-ENDLESS = "1000000000000"
-
 BACK_S = 60.0
-
-
-def free_port() -> int:
-    """Returns a port that was free a moment ago. The router reuses it after a restart, so it cannot choose its own."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
-
-
-def settings(chosen: dict[str, str]) -> list[str]:
-    """Returns the arguments for the given settings."""
-    return [argument for key, value in chosen.items() for argument in ("--set", f"{key}={value}")]
 
 
 class Ring:
@@ -64,47 +48,44 @@ class Ring:
 
     def __init__(self, binary: Path, folder: Path, seed: int) -> None:
         self.run_dir = folder / "run"
-        self.lines = records.Lines(self.run_dir / "metrics.jsonl")
-        self.learner_lives: list[records.LearnerLife] = []
-        self.accidents: list[Accident] = []
+        self.lines = records.Lines(self.run_dir)
+        self.learner_lives: list[records.Life] = []
+        self.accidents: list[str] = []
         self.memory = Memory()
+        self.members: list[Member] = []
         self._logs = folder / "logs"
-        self._logs.mkdir(parents=True)
-        self._binary = str(binary)
+        self._binary = binary
         self._seed = seed
         self._port = free_port()
-        self.listener = Listener(self._port, RUN)
+        self.reports = Reports(self._port, RUN)
         self._tasks: list[asyncio.Task[None]] = []
-        self.members: list[Member] = []
 
     async def start(self) -> None:
         """Starts all members and waits until the learner receives trajectories from every actor."""
-        router = ["--listen", f"tcp/127.0.0.1:{self._port}"]
-        self.router = await self._add("router", "router", router)
-        learner = ["--run-dir", str(self.run_dir), "--auto-resume", "--steps", ENDLESS]
-        self.learner = await self._add("learner", "learner", learner)
-        self.evaluator = await self._add("evaluator", "evaluator", ["--run-dir", str(self.run_dir)])
+        run_dir: list[Word] = ["--run-dir", self.run_dir]
+        self.router = await self._add("router", "router", ["--listen", f"tcp/127.0.0.1:{self._port}"])
+        self.learner = await self._add("learner", "learner", [*run_dir, "--auto-resume", "--steps", str(ENDLESS)])
+        self.evaluator = await self._add("evaluator", "evaluator", run_dir)
         self.actors = [await self._add(f"actor-{n}", "actor", ["--id", f"actor-{n}"]) for n in range(1, N_ACTORS + 1)]
         self.router.start()
-        self._begin_learner_life()
-        for member in (self.learner, self.evaluator, *self.actors):
+        self.resume_learner()
+        for member in (self.evaluator, *self.actors):
             member.start()
         supervisor = supervise(self.members, self.accidents, self._restart)
         self._tasks = [asyncio.create_task(self._watch()), asyncio.create_task(supervisor)]
-        await self.listener.open(BACK_S)
-        await until("all actors have something acknowledged", 2 * BACK_S, lambda: all(map(self.acked, self.actors)))
-        await until("a first checkpoint", BACK_S, lambda: records.checkpoints(self.run_dir))
+        await eventually("the router listens", BACK_S, lambda: listens(self._port))
+        await asyncio.to_thread(self.reports.open)
+        await eventually("all actors have something acknowledged", 2 * BACK_S, lambda: all(map(self.acked, self.actors)))
+        await eventually("a first checkpoint", BACK_S, lambda: records.checkpoints(self.run_dir))
 
-    async def restart_learner(self, end: End) -> None:
+    async def restart_learner(self, killed: bool) -> None:
         """Restarts the learner immediately and records the state on disk in between."""
-        ended = self.learner_lives[-1]
-        ended.killed = end is End.KILLED
+        self.learner_lives[-1].killed = killed
         try:
-            await (self.learner.kill() if ended.killed else self.learner.terminate())
+            await (self.learner.kill() if killed else self.learner.terminate())
         finally:
             self._end_learner_life()
-            self._begin_learner_life()
-            self.learner.start()
+            self.resume_learner()
 
     async def stop_learner(self) -> None:
         """Stops the learner with SIGTERM. `resume_learner` starts it again."""
@@ -112,8 +93,8 @@ class Ring:
         self._end_learner_life()
 
     def resume_learner(self) -> None:
-        """Starts the learner again."""
-        self._begin_learner_life()
+        """Starts the learner, for the first time or again."""
+        self.learner_lives.append(records.Life(*records.newest_checkpoint(self.run_dir)))
         self.learner.start()
 
     def learner_has_taken(self) -> bool:
@@ -121,14 +102,13 @@ class Ring:
         return self.learner_lives[-1].ingest.get("accepted_total", 0) > 0
 
     def n_updates(self) -> int:
-        """Returns the number of updates that all learner processes have reported so far."""
         return sum(len(life.updates) for life in self.learner_lives)
 
     def report(self, actor: Member) -> ActorLife | None:
         """Returns the reports of an actor's newest process, or None if it has not reported yet."""
-        life = self.listener.newest(actor.name)
+        life = self.reports.newest(actor.name)
         # The process reads its epoch from the clock shortly after its start.
-        return life if life and life.epoch_ms >= int(actor.life.began * 1000) else None
+        return life if life and life.epoch_ms >= int(actor.process.began * 1000) else None
 
     def acked(self, actor: Member) -> int:
         """Returns the number of trajectories from an actor's newest process that the learner acknowledged."""
@@ -140,9 +120,9 @@ class Ring:
         for member in (*self.actors, self.evaluator):
             await member.terminate()
         await self.stop_learner()
-        self.listener.digest()
         # The actors' last reports have arrived before the router stops.
-        self.listener.close()
+        self.reports.digest()
+        self.reports.close()
         await self.router.terminate()
 
     async def close(self) -> None:
@@ -151,21 +131,20 @@ class Ring:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         for member in self.members:
-            member.end_now()
+            for process in member.processes[-1:]:
+                process.kill()
             if member.relay is not None:
                 await member.relay.close()
-        await asyncio.to_thread(self.listener.close)
+        await asyncio.to_thread(self.reports.close)
 
-    async def _add(self, name: str, role: str, arguments: list[str]) -> Member:
+    async def _add(self, name: str, role: str, arguments: list[Word]) -> Member:
         relay = None
-        command = [self._binary]
-        if role == "router":
-            command += ["router", *arguments]
-        else:
+        command: list[Word] = [self._binary, role, *arguments]
+        if role != "router":
             relay = Relay(self._port)
             await relay.listen()
-            connect = ["--connect", f"tcp/127.0.0.1:{relay.port}", "--preset", "near-goal", "--run", RUN]
-            command += [role, *connect, "--seed", str(self._seed), *settings(SETTINGS), *arguments]
+            command += ["--connect", f"tcp/127.0.0.1:{relay.port}", "--preset", "near-goal", "--run", RUN]
+            command += ["--seed", str(self._seed), *settings(SETTINGS)]
         member = Member(name, role, command, self._logs, relay)
         self.members.append(member)
         return member
@@ -173,7 +152,7 @@ class Ring:
     async def _watch(self) -> None:
         next_sample = 0.0
         while True:
-            self.listener.digest()
+            self.reports.digest()
             self.learner_lives[-1].updates += self.lines.read()
             if time.monotonic() >= next_sample:
                 next_sample = time.monotonic() + 1
@@ -182,15 +161,12 @@ class Ring:
             await asyncio.sleep(0.05)
 
     def _restart(self, member: Member) -> None:
-        """Restarts a member that exited on its own."""
         if member is self.learner:
             self.learner_lives[-1].killed = True
             self._end_learner_life()
-            self._begin_learner_life()
-        member.start()
-
-    def _begin_learner_life(self) -> None:
-        self.learner_lives.append(records.LearnerLife(*records.newest_checkpoint(self.run_dir)))
+            self.resume_learner()
+        else:
+            member.start()
 
     def _end_learner_life(self) -> None:
         life = self.learner_lives[-1]

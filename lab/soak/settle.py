@@ -1,13 +1,10 @@
 """Checks after the faults: all members work again, and an undisturbed learner accounts for every trajectory."""
 
-from __future__ import annotations
-
 import asyncio
 
-import records
-from checks import require, until
-from members import Member
-from ring import BACK_S, N_ACTORS, N_OUTSTANDING, Ring
+from ..ring import records
+from ..ring.checks import eventually, require
+from .ring import BACK_S, N_ACTORS, N_OUTSTANDING, Ring
 
 N_UPDATES = 10
 
@@ -15,15 +12,14 @@ N_UPDATES = 10
 async def all_work(ring: Ring) -> str:
     """Waits until every actor has more trajectories acknowledged, the learner saves, and the evaluator reports."""
     acked = {actor.name: ring.acked(actor) for actor in ring.actors}
-    steps, _ = records.newest_checkpoint(ring.run_dir)
-    n_summaries = ring.listener.n_summaries
+    steps, n_summaries = records.saved_steps(ring.run_dir), ring.reports.n_summaries
 
     def all_have_more() -> bool:
         return all(ring.acked(actor) > acked[actor.name] for actor in ring.actors)
 
-    await until("all actors have more acknowledged", BACK_S, all_have_more)
-    await until("a newer checkpoint", BACK_S, lambda: records.newest_checkpoint(ring.run_dir)[0] > steps)
-    await until("an evaluation", 3 * BACK_S, lambda: ring.listener.n_summaries > n_summaries)
+    await eventually("all actors have more acknowledged", BACK_S, all_have_more)
+    await eventually("a newer checkpoint", BACK_S, lambda: records.saved_steps(ring.run_dir) > steps)
+    await eventually("an evaluation", 3 * BACK_S, lambda: ring.reports.n_summaries > n_summaries)
     return f"{N_ACTORS} actors, learner and evaluator"
 
 
@@ -37,10 +33,10 @@ async def calm(ring: Ring, seconds: float) -> str:
     return f"{seconds:.0f} s, {ring.n_updates() - n_updates} updates"
 
 
-async def _acked_at_rest(ring: Ring) -> int:
-    """Returns the actors' acknowledged trajectories once all actors have noticed that the learner is gone."""
-
-    async def at_rest(actor: Member) -> int:
+async def acked_and_saved_at_rest(ring: Ring) -> tuple[int, int]:
+    """Stops the learner. Returns what the actors know as acknowledged once all have noticed, and what it saved."""
+    await ring.stop_learner()
+    for actor in ring.actors:
         # The first report received after the learner's exit may predate it.
         before = ring.report(actor)
         n_before = before.n_reports if before else 0
@@ -49,21 +45,17 @@ async def _acked_at_rest(ring: Ring) -> int:
             now = ring.report(actor)
             return bool(now and now.n_reports >= n_before + 2 and not now.last["learner_is_there"])
 
-        await until(f"{actor.name} says that the learner is gone", BACK_S, has_said_so)
-        return ring.acked(actor)
-
-    return sum([await at_rest(actor) for actor in ring.actors])
+        await eventually(f"{actor.name} says that the learner is gone", BACK_S, has_said_so)
+    return sum(map(ring.acked, ring.actors)), records.newest_checkpoint(ring.run_dir)[1]
 
 
 async def nothing_is_lost(ring: Ring) -> str:
     """Checks that everything a learner acknowledges between its start and SIGTERM is in its last checkpoint."""
-    await ring.stop_learner()
-    acked_before, (_, saved_before) = await _acked_at_rest(ring), records.newest_checkpoint(ring.run_dir)
+    acked_before, saved_before = await acked_and_saved_at_rest(ring)
     ring.resume_learner()
     n_updates = ring.n_updates()
-    await until("updates without a fault", 2 * BACK_S, lambda: ring.n_updates() >= n_updates + N_UPDATES)
-    await ring.stop_learner()
-    acked_after, (_, saved_after) = await _acked_at_rest(ring), records.newest_checkpoint(ring.run_dir)
+    await eventually("updates without a fault", 2 * BACK_S, lambda: ring.n_updates() >= n_updates + N_UPDATES)
+    acked_after, saved_after = await acked_and_saved_at_rest(ring)
     ring.resume_learner()
     acked, saved = acked_after - acked_before, saved_after - saved_before
     said = f"{acked} acknowledged, {saved} in the checkpoint"
