@@ -1,31 +1,27 @@
-"""Checks how `lodestone-slurm` reports mistakes and what happens to jobs that cannot work."""
+"""Checks how `lodestone-slurm` reports mistakes, what happens to jobs that cannot work, and one heterogeneous job."""
 
-from __future__ import annotations
-
-import queue_of_slurm as queue
-from launched import COMMAND, Launched, partitions
-from training import Check, Training
-from wait import wait_for
+from ..ring.checks import until
+from . import conf, queue
+from .training import COMMAND, PARTITIONS, Check, Training
 
 
 def a_rehearsal_changes_nothing(training: Training) -> None:
     """`--dry-run` prints both submissions and creates no folder."""
-    run = Launched(training.run.binary, training.run.folder.with_name("rehearsal"))
+    run = training.other("rehearsal")
     printed = run.launch("--actors", "2500", "--gpu", "--time", "12:00:00", "--dry-run", "--", "--account=lab")
     learner, *actors = [line for line in printed.splitlines() if line.startswith("+ sbatch")]
     assert "--gres=gpu:1" in learner and "--time=12:00:00" in learner and "--account=lab" in learner, learner
     # Slurm limits an array to 1001 tasks by default.
-    assert [word for line in actors for word in line.split() if word.startswith("--array=")] == [
-        "--array=0-1000", "--array=0-1000", "--array=0-497",
-    ]  # fmt: skip
+    arrays = [word for line in actors for word in line.split() if word.startswith("--array=")]
+    assert arrays == ["--array=0-1000", "--array=0-1000", "--array=0-497"], arrays
     assert not run.folder.exists()
 
 
 def a_run_on_a_gpu_asks_for_one_again(training: Training) -> None:
     """A run that was launched with `--gpu` continues with a GPU, also without the option."""
-    run = Launched(training.run.binary, training.run.folder.with_name("gpu"))
-    (run.folder / "run").mkdir(parents=True)
-    (run.folder / "run/config.toml").write_text('device = "gpu"\n')
+    run = training.other("gpu")
+    run.run_dir.mkdir(parents=True)
+    (run.run_dir / "config.toml").write_text('device = "gpu"\n')
     printed = run.launch("--dry-run")
     learner = next(line for line in printed.splitlines() if line.startswith("+ sbatch"))
     assert "--gres=gpu:1" in learner, learner
@@ -33,17 +29,17 @@ def a_run_on_a_gpu_asks_for_one_again(training: Training) -> None:
 
 def mistakes_are_explained(training: Training) -> None:
     """A mistake exits with a code and a hint, and submits nothing."""
-    run = Launched(training.run.binary, training.run.folder.with_name("mistakes"))
-    binary = ["--binary", str(run.binary)]
+    run = training.other("mistakes")
+    launch = ["launch", "--binary", str(run.binary)]
     for options, code, hint in [
-        (["launch", *binary, "--actors", "none"], 2, "valid is a number"),
-        (["launch", *binary, "--actor", "8"], 2, "is no option"),
-        (["launch", *binary, "--port", "0"], 2, "valid is a port from 1 to 65535"),
-        (["launch", *binary, "--port", "7-6"], 2, "or FIRST-LAST"),
-        (["launch", *binary, "--run", "My Run"], 2, "valid are 1 to 64 characters"),
-        (["launch", *binary, "--preset", "quick"], 64, "nothing was submitted"),
+        ([*launch, "--actors", "none"], 2, "valid is a number"),
+        ([*launch, "--actor", "8"], 2, "is no option"),
+        ([*launch, "--port", "0"], 2, "valid is a port from 1 to 65535"),
+        ([*launch, "--port", "7-6"], 2, "or FIRST-LAST"),
+        ([*launch, "--run", "My Run"], 2, "valid are 1 to 64 characters"),
+        ([*launch, "--preset", "quick"], 64, "nothing was submitted"),
         (["launch", "--binary", "/nowhere"], 64, "no program at /nowhere"),
-        (["launch", *binary, "--preset", "near-goal", "--partition", "nowhere"], 1, "invalid partition"),
+        ([*launch, "--preset", "near-goal", "--partition", "nowhere"], 1, "invalid partition"),
         (["status"], 1, "holds no run"),
         (["stop"], 1, "holds no run"),
         (["begin"], 2, "none of launch, status, stop"),
@@ -54,12 +50,36 @@ def mistakes_are_explained(training: Training) -> None:
 
 def a_learner_that_cannot_work_frees_the_actors(training: Training) -> None:
     """A learner job that cannot recover fails at once, prints the reason, and cancels the actors."""
-    run = Launched(training.run.binary, training.run.folder.with_name("unreachable"))
-    run.launch("--preset", "near-goal", "--actors", "2", "--learner-cpus", "2", "--interface", "nowhere0", *partitions())
+    run = training.other("unreachable")
+    run.launch("--preset", "near-goal", "--actors", "2", "--learner-cpus", "2", "--interface", "nowhere0", *PARTITIONS)
     job, actors = run.learner_job(), run.actor_job()
-    wait_for("the learner's job has failed", lambda: queue.state(job) == "FAILED", 40)
+    until("the learner's job has failed", 40, lambda: queue.state(job) == "FAILED")
     assert "nowhere0 has no IPv4 address" in run.learner_log(), run.learner_log()
-    wait_for("the actors' jobs are gone", lambda: not queue.is_queued(actors), 40)
+    until("the actors' jobs are gone", 40, lambda: not queue.is_queued(actors))
+
+
+def a_hetjob_trains(run: Training) -> None:
+    """Learner and actors start together, only the learner gets the GPU, and all end when the steps are reached."""
+    queue.cancel_all()
+    task = ["--preset", "near-goal", "--steps", "4096", "--actors", "2", "--hetjob", "--no-evaluator"]
+    place = ["--learner-cpus", "2", "--interface", "eth0", "--learner-sbatch=--gres=gpu:1", "--partition", conf.LEARNERS]
+    printed = run.launch(*task, *place)
+    assert printed.count("+ sbatch") == 1, printed
+    job = run.learner_job()
+    run.wait("the actors work", 60, lambda: len(run.actors_that_work()) == 2)
+    for role, has_gpu in (("learner", True), ("actor", False)):
+        process = next(iter(run.processes(role)))
+        assert (b"CUDA_VISIBLE_DEVICES=" in (process / "environ").read_bytes()) == has_gpu, role
+    endpoint = run.endpoint()
+    assert endpoint is not None and endpoint.startswith("quic/10."), endpoint
+    queue.slurm("scontrol", "requeue", job)
+    until("the learner saved", 60, lambda: "ended by term; saved at" in run.learner_log())
+    until("the actors work again", 60, lambda: len(run.actors_that_work()) == 2 and run.endpoint() != endpoint)
+    run.wait("the run is finished", 180, run.is_finished)
+    until("the job is over", 60, lambda: not queue.is_queued(job))
+    assert queue.state(job) == "COMPLETED"
+    assert run.n_saved_steps() >= 4096
+    until("no actor is left", 20, lambda: not run.actors_that_work())
 
 
 CHECKS: list[Check] = [
@@ -67,4 +87,5 @@ CHECKS: list[Check] = [
     a_run_on_a_gpu_asks_for_one_again,
     mistakes_are_explained,
     a_learner_that_cannot_work_frees_the_actors,
+    a_hetjob_trains,
 ]

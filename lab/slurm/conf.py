@@ -1,10 +1,9 @@
 """Configuration of the test cluster."""
 
-from __future__ import annotations
-
 import os
-import subprocess
 from pathlib import Path
+
+from ..ring.processes import run
 
 CONTROLLER = "ctl"
 NODES = ("n1", "n2", "n3")
@@ -16,19 +15,44 @@ LEARNERS, ACTORS, URGENT, ALL = "learners", "actors", "urgent", "all"
 FOLDER = Path("/etc/slurm")
 PATH = FOLDER / "slurm.conf"
 
-N_CPUS = 3
-"""CPUs that a node claims to have; Slurm counts them and binds nothing."""
 
-REQUEUE_DELAY_S = 5
-"""How long a requeued job waits, which is what a credential lives; Slurm's own is 120 s."""
+def write(folder: Path) -> None:
+    """Writes the daemons' configuration over the machine's own files, in this mount namespace only."""
+    for name in ("munge", "state", "spool", "logs", *(f"spool/{node}" for node in NODES)):
+        (folder / name).mkdir(parents=True, mode=0o755)
+    key = folder / "munge" / "key"
+    key.write_bytes(os.urandom(128))
+    key.chmod(0o600)
 
-SLURM_CONF = """
+    FOLDER.mkdir(exist_ok=True)
+    mount_tmpfs(FOLDER)
+    # slurmd expects this folder even without a mounted cgroup v1. cgroup.conf tells it not to mount any.
+    mount_tmpfs(Path("/sys/fs/cgroup"))
+    PATH.write_text(slurm_conf(folder))
+    (FOLDER / "cgroup.conf").write_text("CgroupPlugin=cgroup/v1\nCgroupAutomount=no\n")
+    # A dummy GPU that jobs can request. Slurm sets CUDA_VISIBLE_DEVICES for them.
+    (FOLDER / "gres.conf").write_text("Name=gpu File=/dev/null\n")
+
+    hosts = folder / "hosts"
+    lines = [f"{address} {name}\n" for name, address in ADDRESSES.items()]
+    hosts.write_text("127.0.0.1 localhost\n" + "".join(lines))
+    run(["mount", "--bind", hosts, "/etc/hosts"])
+
+
+def slurm_conf(folder: Path) -> str:
+    """Returns the text of `slurm.conf`.
+
+    Slurm counts the CPUs that nodes claim to have, and binds nothing. A requeued job waits as long as a credential
+    lives: here 5 s, by default 120 s.
+    """
+    nodes, addresses = ",".join(NODES), ",".join(ADDRESSES[node] for node in NODES)
+    return f"""
 ClusterName=test
-SlurmctldHost={controller}({controller_address})
+SlurmctldHost={CONTROLLER}({ADDRESSES[CONTROLLER]})
 SlurmUser=root
 SlurmdUser=root
 AuthType=auth/munge
-AuthInfo=socket={socket},cred_expire={requeue_delay}
+AuthInfo=socket={folder}/munge/socket,cred_expire=5
 CredType=cred/munge
 StateSaveLocation={folder}/state
 SlurmdSpoolDir={folder}/spool/%n
@@ -55,60 +79,14 @@ SlurmctldTimeout=60
 SlurmdTimeout=10
 KillWait=120
 GresTypes=gpu
-NodeName={nodes} NodeAddr={addresses} CPUs={n_cpus} RealMemory=16000 Gres=gpu:1 State=UNKNOWN
-PartitionName={all} Nodes={nodes} Default=YES PriorityTier=1 PreemptMode=OFF
-PartitionName={learners} Nodes={nodes} PriorityTier=10 PreemptMode=OFF
-PartitionName={actors} Nodes={nodes} PriorityTier=1 PreemptMode=REQUEUE
-PartitionName={urgent} Nodes={nodes} PriorityTier=20 PreemptMode=OFF
+NodeName={nodes} NodeAddr={addresses} CPUs=3 RealMemory=16000 Gres=gpu:1 State=UNKNOWN
+PartitionName={ALL} Nodes={nodes} Default=YES PriorityTier=1 PreemptMode=OFF
+PartitionName={LEARNERS} Nodes={nodes} PriorityTier=10 PreemptMode=OFF
+PartitionName={ACTORS} Nodes={nodes} PriorityTier=1 PreemptMode=REQUEUE
+PartitionName={URGENT} Nodes={nodes} PriorityTier=20 PreemptMode=OFF
 """
-
-
-def munge_socket(folder: Path) -> Path:
-    """Returns the path of the socket that `munged` listens on."""
-    return folder / "munge" / "socket"
-
-
-def write(folder: Path) -> None:
-    """Writes the daemons' configuration over the machine's own files, in this mount namespace only."""
-    for name in ("munge", "state", "spool", "logs", *(f"spool/{node}" for node in NODES)):
-        (folder / name).mkdir(parents=True, mode=0o755)
-    key = folder / "munge" / "key"
-    key.write_bytes(os.urandom(128))
-    key.chmod(0o600)
-
-    FOLDER.mkdir(exist_ok=True)
-    mount_tmpfs(FOLDER)
-    # slurmd expects this folder even without a mounted cgroup v1. cgroup.conf tells it not to mount any.
-    mount_tmpfs(Path("/sys/fs/cgroup"))
-    PATH.write_text(slurm_conf(folder), encoding="utf-8")
-    (FOLDER / "cgroup.conf").write_text("CgroupPlugin=cgroup/v1\nCgroupAutomount=no\n", encoding="utf-8")
-    # A dummy GPU that jobs can request. Slurm sets CUDA_VISIBLE_DEVICES for them.
-    (FOLDER / "gres.conf").write_text("Name=gpu File=/dev/null\n", encoding="utf-8")
-
-    hosts = folder / "hosts"
-    lines = [f"{address} {name}\n" for name, address in ADDRESSES.items()]
-    hosts.write_text("127.0.0.1 localhost\n" + "".join(lines), encoding="utf-8")
-    subprocess.run(["mount", "--bind", str(hosts), "/etc/hosts"], check=True)
-
-
-def slurm_conf(folder: Path) -> str:
-    """Returns the text of `slurm.conf`."""
-    return SLURM_CONF.format(
-        controller=CONTROLLER,
-        controller_address=ADDRESSES[CONTROLLER],
-        socket=munge_socket(folder),
-        folder=folder,
-        nodes=",".join(NODES),
-        addresses=",".join(ADDRESSES[node] for node in NODES),
-        n_cpus=N_CPUS,
-        requeue_delay=REQUEUE_DELAY_S,
-        learners=LEARNERS,
-        actors=ACTORS,
-        urgent=URGENT,
-        all=ALL,
-    )
 
 
 def mount_tmpfs(folder: Path) -> None:
     """Mounts an empty file system over `folder`."""
-    subprocess.run(["mount", "-t", "tmpfs", "tmpfs", str(folder)], check=True)
+    run(["mount", "-t", "tmpfs", "tmpfs", folder])

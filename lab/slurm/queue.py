@@ -1,18 +1,11 @@
 """Queries Slurm for the states of jobs and nodes."""
 
-from __future__ import annotations
-
-import subprocess
-
-from wait import wait_for
+from ..ring.checks import until
+from ..ring.processes import attempt, run
 
 
 def slurm(*command: str) -> str:
-    """Runs a Slurm command and returns its output."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise AssertionError(f"{' '.join(command)} ended with {done.returncode}: {done.stdout}{done.stderr}")
-    return done.stdout
+    return run(command)
 
 
 def job(job_id: str) -> dict[str, str]:
@@ -22,14 +15,12 @@ def job(job_id: str) -> dict[str, str]:
 
 
 def state(job_id: str) -> str:
-    """Returns the state of a job, such as RUNNING."""
     return job(job_id)["JobState"]
 
 
 def tasks(array: str) -> dict[str, tuple[str, str]]:
     """Returns the state and node of each task of a queued array."""
-    listed = slurm("squeue", "-h", "--array", "-j", array, "-o", "%i|%T|%N")
-    rows = [line.split("|") for line in listed.splitlines()]
+    rows = [line.split("|") for line in slurm("squeue", "-h", "--array", "-j", array, "-o", "%i|%T|%N").splitlines()]
     return {task: (task_state, node) for task, task_state, node in rows}
 
 
@@ -62,11 +53,11 @@ def node_flags(node: str) -> set[str]:
 
 def is_queued(job_id: str) -> bool:
     """Returns whether a job has not ended."""
-    listed = subprocess.run(["squeue", "-h", "-j", job_id, "-o", "%T"], capture_output=True, text=True, check=False)
-    return listed.stdout.strip() not in ("", "COMPLETED", "CANCELLED", "FAILED")
+    listed = attempt(["squeue", "-h", "-j", job_id, "-o", "%T"]).stdout
+    return listed.strip() not in ("", "COMPLETED", "CANCELLED", "FAILED")
 
 
 def cancel_all() -> None:
     """Cancels every job and waits until none is left."""
     slurm("scancel", "--user=root")
-    wait_for("no job is left", lambda: not slurm("squeue", "-h"), 60)
+    until("no job is left", 60, lambda: not slurm("squeue", "-h"))
