@@ -1,37 +1,31 @@
-"""Renders manifests and provides the parts of rendered objects that several checks share."""
+"""Renders manifests, validates them, and provides the parts of objects that several checks share."""
 
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+import kubernetes_validate
 import yaml
+
+from ..ring.processes import ROOT, run
 
 Object = dict[str, Any]
 
-ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "deploy" / "kubernetes"
-NAME = "app.kubernetes.io/name"
 COMPONENT = "app.kubernetes.io/component"
 ROLES = ("router", "learner", "actor", "evaluator")
 
+# The oldest and the newest Kubernetes whose schemas the validator has.
+VERSIONS = ("1.25.0", "1.37.0")
 
-class RenderError(Exception):
-    """A kubectl failure, with its error output."""
-
-
-def run(kubectl: str, *arguments: str) -> str:
-    """Runs kubectl and returns its output."""
-    done = subprocess.run([kubectl, *arguments], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise RenderError(f"kubectl {' '.join(arguments)}: {done.stderr.strip()}")
-    return done.stdout
+UNITS: dict[str, Decimal | int] = {"": 1, "m": Decimal("0.001"), "Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 
 
 def render(kubectl: str, folder: Path) -> list[Object]:
     """Renders the objects of a Kustomize folder."""
-    return parse(run(kubectl, "kustomize", str(folder)))
+    return parse(run([kubectl, "kustomize", folder]))
 
 
 def parse(text: str) -> list[Object]:
@@ -39,81 +33,79 @@ def parse(text: str) -> list[Object]:
     return [document for document in yaml.safe_load_all(text) if document]
 
 
+def invalid(objects: list[Object]) -> Iterator[str]:
+    """Yields what the schemas of each version refuse, unknown fields included."""
+    for thing in objects:
+        for version in VERSIONS:
+            try:
+                kubernetes_validate.validate(thing, version, strict=True)
+            except kubernetes_validate.ValidationError as error:
+                yield f"{shown(thing)}, {version}: {'.'.join(map(str, error.path))}: {error.message}"
+            except (kubernetes_validate.SchemaNotFoundError, kubernetes_validate.InvalidSchemaError) as error:
+                yield f"{shown(thing)}, {version}: {error}"
+
+
 @dataclass(frozen=True)
 class Workload:
-    """A Deployment or StatefulSet with accessors for its pod template."""
+    """A Deployment or StatefulSet, with the labels and the `spec` of its pods and their only container."""
 
     object: Object
-
-    @property
-    def name(self) -> str:
-        return str(self.object["metadata"]["name"])
-
-    @property
-    def replicas(self) -> int:
-        return int(self.object["spec"].get("replicas", 1))
-
-    @property
-    def labels(self) -> dict[str, str]:
-        """Labels of the pods."""
-        return dict(self.object["spec"]["template"]["metadata"].get("labels", {}))
-
-    @property
-    def role(self) -> str:
-        return self.labels.get(COMPONENT, "")
-
-    @property
-    def pod(self) -> Object:
-        """The pod's `spec`."""
-        return dict(self.object["spec"]["template"]["spec"])
-
-    @property
-    def containers(self) -> list[Object]:
-        """All containers, including init containers."""
-        return [*self.pod.get("initContainers", []), *self.pod.get("containers", [])]
-
-
-def of_kind(objects: list[Object], *kinds: str) -> list[Object]:
-    """Returns the objects of the given kinds."""
-    return [found for found in objects if found["kind"] in kinds]
+    name: str
+    replicas: int
+    labels: dict[str, str]
+    role: str
+    pod: Object
+    box: Object
 
 
 def workloads(objects: list[Object]) -> list[Workload]:
-    """Returns the objects that create pods. No check covers others, such as a Job, so `references` rejects them."""
-    return [Workload(found) for found in of_kind(objects, "Deployment", "StatefulSet")]
+    """Returns the objects that create pods. No check covers others, such as a Job, so `rules` rejects them."""
+    found = []
+    for thing in of_kind(objects, "Deployment", "StatefulSet"):
+        spec = thing["spec"]
+        labels, pod = spec["template"]["metadata"].get("labels", {}), spec["template"]["spec"]
+        # One container: no check looks at others.
+        [box] = pod.get("initContainers", []) + pod["containers"]
+        name = thing["metadata"]["name"]
+        found.append(Workload(thing, name, int(spec.get("replicas", 1)), labels, labels.get(COMPONENT, ""), pod, box))
+    return found
 
 
-def containers(objects: list[Object]) -> Iterator[tuple[Workload, Object]]:
-    """Yields every container with its workload."""
-    for workload in workloads(objects):
-        for container in workload.containers:
-            yield workload, container
+def of_kind(objects: list[Object], *kinds: str) -> list[Object]:
+    return [found for found in objects if found["kind"] in kinds]
+
+
+def names(objects: list[Object], kind: str) -> list[str]:
+    """Returns the names of the objects of a kind, in order."""
+    return sorted(found["metadata"]["name"] for found in of_kind(objects, kind))
 
 
 def shown(thing: Object) -> str:
-    """Returns the kind and name for messages."""
     return f"{thing['kind']} {thing['metadata']['name']}"
+
+
+def ports_of(workload: Workload) -> dict[str, int]:
+    """Returns a container's ports by name."""
+    return {port["name"]: port["containerPort"] for port in workload.box.get("ports", [])}
+
+
+def quantity(text: str) -> Decimal:
+    """Parses a quantity such as `250m` or `2Gi`."""
+    digits = text.rstrip("mKMGi")
+    return Decimal(digits) * UNITS[text[len(digits) :]]
 
 
 def selects(selector: Object | None, labels: dict[str, str]) -> bool:
     """Returns whether a label selector matches. `{}` matches everything, None nothing."""
     if selector is None:
         return False
-    wanted = selector.get("matchLabels", {})
+    wanted = selector.get("matchLabels", {}).items()
     rules = selector.get("matchExpressions", [])
-    return all(labels.get(key) == value for key, value in wanted.items()) and all(holds(rule, labels) for rule in rules)
+    return all(labels.get(key) == value for key, value in wanted) and all(holds(rule, labels) for rule in rules)
 
 
 def holds(rule: Object, labels: dict[str, str]) -> bool:
     """Returns whether an entry of `matchExpressions` matches."""
-    value = labels.get(rule["key"])
-    match rule["operator"]:
-        case "In":
-            return value in rule["values"]
-        case "NotIn":
-            return value not in rule["values"]
-        case "Exists":
-            return value is not None
-        case "DoesNotExist":
-            return value is None
-    raise ValueError(f"there is no operator {rule['operator']}")
+    if rule["operator"] != "In":
+        raise ValueError(f"this check does not know the operator {rule['operator']}")
+    return labels.get(rule["key"]) in rule["values"]

@@ -5,11 +5,10 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from manifests import COMPONENT, Object, of_kind, selects, shown, workloads
+from .manifests import COMPONENT, Object, of_kind, ports_of, selects, shown, workloads
 
-SYSTEM = {"kubernetes.io/metadata.name": "kube-system"}
 OWN = {"kubernetes.io/metadata.name": "lodestone"}
-MONITORING = {"kubernetes.io/metadata.name": "monitoring", "lodestone-page": "allowed"}
+SYSTEM = {"kubernetes.io/metadata.name": "kube-system"}
 OTHER = {"kubernetes.io/metadata.name": "other"}
 
 
@@ -21,87 +20,56 @@ class Peer:
     labels: dict[str, str] = field(default_factory=dict)
     namespace: dict[str, str] = field(default_factory=lambda: OWN)
     ports: dict[str, int] = field(default_factory=dict)
-    address: str = "10.1.2.3"
-    is_pod: bool = True
+    address: str | None = None
+    """None for a pod."""
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is a pod in the run's namespace. The policies do not apply to others."""
+        return self.address is None and self.namespace == OWN
 
 
-def role(name: str, **ports: int) -> Peer:
-    """Returns a pod of the run."""
-    return Peer(name, {COMPONENT: name}, ports=ports)
-
-
-ROUTER, LEARNER, ACTOR = role("router", **{"bus": 7447, "bus-tcp": 7447}), role("learner"), role("actor")
-EVALUATOR, VIEWER = role("evaluator", page=8080), role("viewer")
-STRANGER = Peer("a pod without labels in the namespace")
-ELSEWHERE = Peer("a pod of another namespace with a role's label", {COMPONENT: "actor"}, OTHER)
-PROMETHEUS = Peer("a pod of a namespace that was let in", {"app": "prometheus"}, MONITORING)
-DNS = Peer("the cluster's DNS", {"k8s-app": "kube-dns"}, SYSTEM)
-DNS_CACHE = Peer("the node's DNS cache", address="169.254.20.10", is_pod=False)
-API = Peer("the API server", address="10.0.0.1", is_pod=False)
-INTERNET = Peer("the Internet", address="192.0.2.1", is_pod=False)
-METADATA = Peer("the cloud's metadata", address="169.254.169.254", is_pod=False)
-
-ALLOWED: list[tuple[Peer, Peer, int, str]] = [
-    *(
-        (client, ROUTER, 7447, protocol)
-        for client in (LEARNER, ACTOR, EVALUATOR, VIEWER)
-        for protocol in ("UDP", "TCP")
-    ),
-    *(
-        (client, names, 53, protocol)
-        for client in (LEARNER, ACTOR, EVALUATOR, VIEWER)
-        for names in (DNS, DNS_CACHE)
-        for protocol in ("UDP", "TCP")
-    ),
-    (PROMETHEUS, EVALUATOR, 8080, "TCP"),
+ROUTER = Peer("router", {COMPONENT: "router"}, ports={"bus": 7447, "bus-tcp": 7447})
+EVALUATOR = Peer("evaluator", {COMPONENT: "evaluator"}, ports={"page": 8080})
+CLIENTS = [EVALUATOR, *(Peer(role, {COMPONENT: role}) for role in ("learner", "actor", "viewer"))]
+PROMETHEUS = Peer("a pod of a namespace that was let in", {"app": "prometheus"}, {**OTHER, "lodestone-page": "allowed"})
+NAMES = [Peer("the cluster's DNS", {"k8s-app": "kube-dns"}, SYSTEM), Peer("the node's DNS cache", address="169.254.20.10")]
+STRANGERS = [
+    Peer("a pod without labels in the namespace"),
+    Peer("a pod of another namespace with a role's label", {COMPONENT: "actor"}, OTHER),
+    Peer("the API server", address="10.0.0.1"),
+    Peer("the Internet", address="192.0.2.1"),
+    Peer("the cloud's metadata", address="169.254.169.254"),
 ]
-PEERS = [
-    ROUTER,
-    LEARNER,
-    ACTOR,
-    EVALUATOR,
-    VIEWER,
-    STRANGER,
-    ELSEWHERE,
-    PROMETHEUS,
-    DNS,
-    DNS_CACHE,
-    API,
-    INTERNET,
-    METADATA,
+PEERS = [ROUTER, *CLIENTS, PROMETHEUS, *NAMES, *STRANGERS]
+BOTH = ("UDP", "TCP")
+ALLOWED = [
+    *((client, ROUTER, 7447, protocol) for client in CLIENTS for protocol in BOTH),
+    *((client, server, 53, protocol) for client in CLIENTS for server in NAMES for protocol in BOTH),
+    (PROMETHEUS, EVALUATOR, 8080, "TCP"),
 ]
 PORTS = [(7447, "UDP"), (7447, "TCP"), (8080, "TCP"), (53, "UDP"), (53, "TCP"), (443, "TCP"), (80, "TCP"), (22, "TCP")]
 
 
 def is_peer(rule: Object, peer: Peer) -> bool:
     """Returns whether an entry of `from` or `to` matches `peer`. A bare podSelector covers the policy's namespace."""
-    if "ipBlock" in rule:
-        block = rule["ipBlock"]
-        inside = ipaddress.ip_address(peer.address) in ipaddress.ip_network(block["cidr"])
+    if peer.address is not None:
         # Network plugins differ in whether an ipBlock can match pod addresses, so it never matches pods here.
-        return not peer.is_pod and inside and not block.get("except")
-    if not peer.is_pod:
-        return False
-    if "namespaceSelector" in rule:
-        if not selects(rule["namespaceSelector"], peer.namespace):
-            return False
-    elif peer.namespace != OWN:
-        return False
-    return "podSelector" not in rule or selects(rule["podSelector"], peer.labels)
+        block = rule.get("ipBlock", {"cidr": "0.0.0.0/32"})
+        return ipaddress.ip_address(peer.address) in ipaddress.ip_network(block["cidr"]) and not block.get("except")
+    is_there = selects(rule["namespaceSelector"], peer.namespace) if "namespaceSelector" in rule else peer.namespace == OWN
+    return "ipBlock" not in rule and is_there and selects(rule.get("podSelector", {}), peer.labels)
 
 
 def is_port(rules: list[Object] | None, target: Peer, port: int, protocol: str) -> bool:
     """Returns whether the rule's ports include this port of `target`. No ports means all ports."""
-    if not rules:
-        return True
-    for rule in rules:
+
+    def includes(rule: Object) -> bool:
         wanted = rule.get("port", port)
-        first = target.ports.get(wanted) if isinstance(wanted, str) else int(wanted)
-        if first is None or rule.get("protocol", "TCP") != protocol:
-            continue
-        if first <= port <= int(rule.get("endPort", first)):
-            return True
-    return False
+        first = target.ports.get(wanted, -1) if isinstance(wanted, str) else int(wanted)
+        return rule.get("protocol", "TCP") == protocol and first <= port <= int(rule.get("endPort", first))
+
+    return not rules or any(map(includes, rules))
 
 
 def lets(policies: list[Object], direction: str, subject: Peer, other: Peer, port: int, protocol: str) -> bool:
@@ -120,47 +88,23 @@ def lets(policies: list[Object], direction: str, subject: Peer, other: Peer, por
     )
 
 
-def verdicts(policies: list[Object], source: Peer, target: Peer, port: int, protocol: str) -> Iterator[bool]:
-    """Yields the verdict at each end that the policies cover. Neither end may rely on the other to refuse."""
-    if is_own(source):
-        yield lets(policies, "Egress", source, target, port, protocol)
-    if is_own(target):
-        yield lets(policies, "Ingress", target, source, port, protocol)
+def policies(objects: list[Object]) -> Iterator[str]:
+    """Checks that exactly the pairs and ports in the table are allowed, at each end that the policies cover.
 
-
-def is_own(peer: Peer) -> bool:
-    """Returns whether `peer` is a pod in the run's namespace. The policies do not apply to others."""
-    return peer.is_pod and peer.namespace == OWN
-
-
-def denied_by_default(objects: list[Object]) -> Iterator[str]:
-    """Checks that one policy selects every pod and allows nothing."""
-    for policy in of_kind(objects, "NetworkPolicy"):
-        spec = policy["spec"]
-        is_over_all = spec["podSelector"] == {} and set(spec["policyTypes"]) == {"Ingress", "Egress"}
-        if is_over_all and not spec.get("ingress") and not spec.get("egress"):
-            return
-    yield "no policy denies everything to every pod"
-
-
-def as_agreed(objects: list[Object]) -> Iterator[str]:
-    """Checks that exactly the pairs and ports in the table are allowed."""
-    policies = of_kind(objects, "NetworkPolicy")
+    Neither end may rely on the other to refuse, so what is not in the table must be refused by both.
+    """
+    found = of_kind(objects, "NetworkPolicy")
     for source, target in itertools.permutations(PEERS, 2):
         for port, protocol in PORTS:
+            ends = [lets(found, "Egress", source, target, port, protocol)] if source.is_own else []
+            ends += [lets(found, "Ingress", target, source, port, protocol)] if target.is_own else []
             wanted = (source, target, port, protocol) in ALLOWED
-            if any(found != wanted for found in verdicts(policies, source, target, port, protocol)):
+            if any(end != wanted for end in ends):
                 yield f"{source.name} {'cannot' if wanted else 'can'} reach {target.name} on {protocol} {port}"
-
-
-def as_listened(objects: list[Object]) -> Iterator[str]:
-    """Checks that the pods have the table's ports, and that every policy selects a pod."""
     for workload in workloads(objects):
-        ports = {port["name"]: port["containerPort"] for box in workload.containers for port in box.get("ports", [])}
-        table = next(peer.ports for peer in PEERS if peer.name == workload.role)
-        if ports != table:
-            yield f"{workload.name}: has the ports {ports}, the table of this check {table}"
-    for policy in of_kind(objects, "NetworkPolicy"):
-        selector = policy["spec"]["podSelector"]
-        if not any(selects(selector, workload.labels) for workload in workloads(objects)):
+        table = next((peer.ports for peer in PEERS if peer.name == workload.role), None)
+        if ports_of(workload) != table:
+            yield f"{workload.name}: has the ports {ports_of(workload)}, the table of this check {table}"
+    for policy in found:
+        if not any(selects(policy["spec"]["podSelector"], workload.labels) for workload in workloads(objects)):
             yield f"{shown(policy)}: is over no pod"

@@ -1,147 +1,187 @@
-"""Checks that every pod is probed, bounded, unprivileged, and without access to the API server."""
+"""Runs the pods of a run as local processes, with the rendered arguments, variables, Secrets, and probes.
 
-from collections.abc import Iterator
-from decimal import Decimal
+Does not reproduce the cluster's network (everything is on loopback), users, or read-only root.
+"""
 
-from manifests import Object, Workload, containers, workloads
+import copy
+import re
+import urllib.error
+import urllib.request
+from collections.abc import Iterable
+from pathlib import Path
 
-USER = 10001
-# Measured memory of each process in megabytes, with two-block goals. A pod that requests less may not have enough.
-MEASURED_MB = {"router": 22, "learner": 183, "actor": 44, "evaluator": 59}
-PROBES = {
-    "startupProbe": ["lodestone", "healthcheck", "--alive"],
-    "livenessProbe": ["lodestone", "healthcheck", "--alive"],
-    "readinessProbe": ["lodestone", "healthcheck"],
-}
-UNITS = {
-    "": Decimal(1),
-    "m": Decimal(1) / 1000,
-    "k": Decimal(10) ** 3,
-    "M": Decimal(10) ** 6,
-    "G": Decimal(10) ** 9,
-    "Ki": Decimal(2) ** 10,
-    "Mi": Decimal(2) ** 20,
-    "Gi": Decimal(2) ** 30,
-}
-# Volume types that the standard `restricted` allows.
-VOLUMES = {"configMap", "csi", "downwardAPI", "emptyDir", "ephemeral", "persistentVolumeClaim", "projected", "secret"}
+from ..ring import records
+from ..ring.checks import Failed, Tally, require, require_none, until
+from ..ring.processes import Process, free_port, plain_environment
+from . import program, secrets
+from .manifests import Object, Workload, of_kind, quantity, workloads
+from .rules import PROBES
+
+# The smallest task that needs the whole ring.
+RUN = {"LODESTONE_PRESET": "near-goal", "LODESTONE_RUN": "near-goal"}
+DEADLINE_S = 180.0
+MOUNTED = re.compile(r"(?<![\w./])/(keys|tmp|runs)(?=/|$)")
+TOKEN = "LODESTONE_DASHBOARD__WEB__TOKEN"
 
 
-def quantity(text: str) -> Decimal:
-    """Parses a quantity such as `250m` or `2Gi`."""
-    digits = text.rstrip("".join({letter for unit in UNITS for letter in unit}))
-    return Decimal(digits) * UNITS[text[len(digits) :]]
+class Pod:
+    """One pod, which can be stopped and restarted with the same volumes."""
+
+    def __init__(self, binary: Path, objects: list[Object], workload: Workload, folder: Path, port: int) -> None:
+        self.name = workload.name
+        self.workload = workload
+        self.binary = binary
+        self.folder = folder
+        self.run_dir = folder / "runs" / RUN["LODESTONE_RUN"]
+        self.process: Process
+        for name in ("tmp", "runs"):
+            (folder / name).mkdir(parents=True)
+
+        def here(text: str) -> str:
+            """Replaces the cluster's paths and addresses with the pod's folders and loopback."""
+            text = re.sub(r"\b(quic|tls)/(0\.0\.0\.0|router):7447\b", rf"\1/127.0.0.1:{port}", text)
+            text = text.replace("--web=0.0.0.0:8080", "--web=127.0.0.1:0")
+            return MOUNTED.sub(lambda match: str(folder / match[1]), text)
+
+        found = program.variables(objects, workload)
+        self.words = [here(text) for text in program.arguments(workload, found)]
+        self.found = {name: here(value) for name, value in found.items()}
+
+    def mount(self, secret: Object) -> None:
+        """Lays out the keys like the kubelet: behind two symbolic links, readable by owner and group."""
+        folder = self.folder / "keys"
+        version = folder / "..2026"
+        version.mkdir(parents=True)
+        (folder / "..data").symlink_to(version.name)
+        for name, content in secrets.files(secret).items():
+            (version / name).write_bytes(content)
+            (version / name).chmod(0o440)
+            (folder / name).symlink_to(f"..data/{name}")
+
+    def start(self) -> None:
+        environment = {**plain_environment(), **self.found}
+        self.process = Process([self.binary, *self.words], self.folder / "log", environment, self.folder)
+
+    def complaint(self, probe: str) -> str | None:
+        """Runs a probe and returns its complaint, or None if it passes."""
+        done = program.call(self.binary, self.workload.box[probe]["exec"]["command"][1:], self.found)
+        return None if done.returncode == 0 else f"{self.name}: {(done.stdout + done.stderr).strip()}"
+
+    def must_run(self) -> bool:
+        """Fails if the process has ended."""
+        require(self.process.code is None, f"{self.name} has ended; it said {self.process.said()}")
+        return True
+
+    def stop(self) -> None:
+        """Sends SIGTERM as on pod deletion. The process must exit with 0 in its grace period."""
+        self.process.end(self.workload.pod["terminationGracePeriodSeconds"])
+
+    def learns(self) -> None:
+        before = len(records.entries(self.run_dir))
+        until("an update", DEADLINE_S, lambda: len(records.entries(self.run_dir)) > before, self.must_run)
 
 
-def probed(objects: list[Object]) -> Iterator[str]:
-    """Checks that all probes run the program's health check, and that only a stalled process fails liveness."""
-    for workload, container in containers(objects):
-        for probe, command in PROBES.items():
-            found = container.get(probe, {}).get("exec", {}).get("command")
-            if found != command:
-                yield f"{workload.name}: {probe} runs {found}, not {command}"
-
-
-def bounded(objects: list[Object]) -> Iterator[str]:
-    """Checks for CPU and memory requests and a memory limit, with request ≤ limit and room for the measured memory."""
-    for workload, container in containers(objects):
-        resources = container.get("resources", {})
-        requests, limits = resources.get("requests", {}), resources.get("limits", {})
-        missing = [f"requests.{name}" for name in ("cpu", "memory") if name not in requests]
-        missing += ["limits.memory"] if "memory" not in limits else []
-        if missing:
-            yield f"{workload.name}: resources lack {', '.join(missing)}"
-            continue
-        for name, limit in limits.items():
-            if quantity(requests.get(name, limit)) > quantity(limit):
-                yield f"{workload.name}: asks for {requests[name]} of {name}, above its limit of {limit}"
-        measured = MEASURED_MB.get(workload.role, 0) * Decimal(10) ** 6
-        if quantity(requests["memory"]) < measured:
-            yield f"{workload.name}: asks for {requests['memory']}, but {measured / 10**6} MB were measured"
-        in_memory = sum(
-            quantity(volume["emptyDir"].get("sizeLimit", "1000Gi"))
-            for volume in workload.pod.get("volumes", [])
-            if volume.get("emptyDir", {}).get("medium") == "Memory"
-        )
-        if in_memory + measured > quantity(limits["memory"]):
-            yield f"{workload.name}: full volumes in memory leave no room for the process below {limits['memory']}"
-
-
-def unprivileged(objects: list[Object]) -> Iterator[str]:
-    """Checks for the Pod Security Standard `restricted`, a read-only root, and the image's user."""
+def made(objects: list[Object], kubectl: str, binary: Path, scratch: Path) -> dict[str, Pod]:
+    """Creates one pod per role, ready to start."""
+    objects, port = copy.deepcopy(objects), free_port()
+    of_kind(objects, "ConfigMap")[0]["data"] |= RUN
+    keys = secrets.make(kubectl, scratch / "keys")
+    found = {}
     for workload in workloads(objects):
-        yield from (f"{workload.name}: {complaint}" for complaint in pod_complaints(workload))
-        for container in workload.containers:
-            context = container.get("securityContext", {})
-            wanted = {
-                "allowPrivilegeEscalation": False,
-                "readOnlyRootFilesystem": True,
-                "capabilities": {"drop": ["ALL"]},
-            }
-            if context != wanted:
-                yield f"{workload.name}: the container's securityContext is {context}, not {wanted}"
-            if any("hostPort" in port for port in container.get("ports", [])):
-                yield f"{workload.name}: takes a port of the node"
+        pod = found[workload.role] = Pod(binary, objects, workload, scratch / "pods" / workload.name, port)
+        pod.mount(keys[f"keys-{workload.role}"])
+        if TOKEN in pod.found:
+            pod.found[TOKEN] = secrets.files(keys["evaluator-page"])["token"].decode()
+    return found
 
 
-def pod_complaints(workload: Workload) -> Iterator[str]:
-    """Checks the security settings of the pod as a whole."""
-    pod = workload.pod
-    context = pod.get("securityContext", {})
-    wanted = {
-        "runAsNonRoot": True,
-        "runAsUser": USER,
-        "runAsGroup": USER,
-        "fsGroup": USER,
-        "fsGroupChangePolicy": "OnRootMismatch",
-        "seccompProfile": {"type": "RuntimeDefault"},
-    }
-    if context != wanted:
-        yield f"the pod's securityContext is {context}, not {wanted}"
-    if pod.get("automountServiceAccountToken") is not False:
-        yield "the service account's token is mounted"
-    if pod.get("enableServiceLinks") is not False:
-        yield "variables of Services are made, some of which the program could take for its own"
-    yield from (f"{key} is on" for key in ("hostNetwork", "hostPID", "hostIPC") if pod.get(key))
-    for volume in pod.get("volumes", []):
-        if not VOLUMES & set(volume):
-            yield f"volume {volume['name']} is of a kind that the standard does not allow"
+def passes(pods: Iterable[Pod], probe: str) -> None:
+    """Waits until the probe passes for all pods. Fails if one ends."""
+
+    def all_pass() -> bool:
+        require_none(complaint for pod in pods if (complaint := pod.complaint(probe)))
+        return True
+
+    until(f"{probe} of all", DEADLINE_S, all_pass, lambda: [pod.must_run() for pod in pods], (Failed,))
 
 
-def placed(objects: list[Object]) -> Iterator[str]:
-    """Checks that only actors tolerate spot nodes and only GPU pods tolerate GPU nodes.
-
-    Also checks that every other role has one replica and never runs twice during an update.
-    """
-    for workload in workloads(objects):
-        keys = {rule.get("key", "everything") for rule in workload.pod.get("tolerations", [])}
-        has_gpu = any("nvidia.com/gpu" in box.get("resources", {}).get("limits", {}) for box in workload.containers)
-        allowed = {"nvidia.com/gpu"} if has_gpu else set()
-        if workload.role == "actor":
-            allowed |= {"cloud.google.com/gke-spot", "kubernetes.azure.com/scalesetpriority"}
-        if keys - allowed:
-            yield f"{workload.name}: tolerates {', '.join(sorted(keys - allowed))}"
-        if workload.role != "actor" and workload.replicas != 1:
-            yield f"{workload.name}: there are {workload.replicas}, but a run has one"
-        if workload.object["kind"] == "Deployment":
-            kind = workload.object["spec"].get("strategy", {}).get("type")
-            wanted_kind = "RollingUpdate" if workload.role == "actor" else "Recreate"
-            if kind != wanted_kind:
-                yield (
-                    f"{workload.name}: strategy {kind} would run two at once"
-                    if workload.role != "actor"
-                    else (f"{workload.name}: strategy {kind} would stop all actors at once")
-                )
+def page_is_closed(pod: Pod) -> None:
+    """Checks that `/healthz` is open to everyone and that the metrics require the token."""
+    address = re.search(r"http://127\.0\.0\.1:\d+", pod.process.log.read_text(errors="replace"))
+    require(address, f"the evaluator does not say where its page is: {pod.process.said()}")
+    for path, headers, wanted in (
+        ("/healthz", {}, 200),
+        ("/metrics", {}, 401),
+        ("/metrics", {"Authorization": f"Bearer {pod.found[TOKEN]}"}, 200),
+        ("/metrics", {"Host": "localhost"}, 401),
+    ):
+        request = urllib.request.Request(f"{address[0] if address else ''}{path}", headers=headers)
+        try:
+            with urllib.request.urlopen(request, timeout=10) as answer:
+                status = int(answer.status)
+        except urllib.error.HTTPError as error:
+            status = error.code
+        require(status == wanted, f"{path} with the headers {sorted(headers)} answers {status}, not {wanted}")
 
 
-def imaged(objects: list[Object]) -> Iterator[str]:
-    """Checks that images have a tag other than `latest`, and containers run their role with the image's entry point."""
-    for workload, container in containers(objects):
-        image = container.get("image", "")
-        name, _, tag = image.rpartition(":")
-        if not name or not tag or tag == "latest" or "/" in tag:
-            yield f"{workload.name}: the image {image} has no tag that says which it is"
-        if "command" in container:
-            yield f"{workload.name}: replaces the image's entry point"
-        if container.get("args", [""])[0] != workload.role:
-            yield f"{workload.name}: runs {container.get('args')}, not the role {workload.role}"
+def memory_fits(pods: list[Pod]) -> str:
+    """Checks that the peak memory of each process is below its limit."""
+    said = []
+    for pod in pods:
+        pod.must_run()
+        peak = (pod.process.status("VmHWM") or 0) / 1000
+        asked, limit = (float(quantity(pod.workload.box["resources"][of]["memory"])) / 1e6 for of in ("requests", "limits"))
+        require(peak <= limit, f"{pod.name}: took {peak:.0f} MB, above its limit of {limit:.0f}")
+        said.append(f"{pod.name} {peak:.0f} of {asked:.0f} to {limit:.0f} MB")
+    return ", ".join(said)
+
+
+def carries_on(learner: Pod) -> None:
+    """Checks that a restarted learner finds its run and continues it."""
+    learner.learns()
+    learner.stop()
+    before = records.saved_steps(learner.run_dir)
+    learner.start()
+    passes([learner], "readinessProbe")
+    learner.learns()
+    learner.stop()
+    after = records.saved_steps(learner.run_dir)
+    require(0 < before < after, f"a checkpoint after {before} steps became one after {after}: the run did not go on")
+
+
+def ends_again(learner: Pod) -> None:
+    """Checks that the learner of a finished run exits with 0 every time it is started."""
+    for _ in range(2):
+        done = program.call(learner.binary, learner.words, {**learner.found, "LODESTONE_STEPS": "1"})
+        require(done.returncode == 0, f"exit {done.returncode}: {done.stderr[-600:]!r}")
+
+
+def judge(tally: Tally, pods: dict[str, Pod]) -> None:
+    """Checks a run from its first probe to its end, unless it does not get that far."""
+    # The router starts last, because pods in a cluster start in any order.
+    *clients, router = order = [pods[role] for role in ("actor", "evaluator", "learner", "router")]
+    learner = pods["learner"]
+    for pod in clients:
+        pod.start()
+    for probe in ("startupProbe", "livenessProbe"):
+        if not tally.check(f"as processes: without a router {probe} holds", lambda: passes(clients, probe)):
+            return
+    ready = (f"{pod.name} is" for pod in clients if not pod.complaint("readinessProbe"))
+    tally.check("as processes: without a router nobody is ready", lambda: require_none(ready))
+    router.start()
+    for probe in PROBES:
+        if not tally.check(f"as processes: with a router {probe} holds", lambda: passes(order, probe)):
+            return
+    tally.check("as processes: the page asks for its token", lambda: page_is_closed(pods["evaluator"]))
+    tally.check("as processes: a learner carries its run on", lambda: carries_on(learner))
+    learner.start()
+    tally.check("as processes: a router ends on SIGTERM", router.stop)
+    tally.check("as processes: nobody is restarted for a router that is gone", lambda: passes(clients, "livenessProbe"))
+    router.start()
+    tally.check("as processes: all are ready again", lambda: passes(order, "readinessProbe"))
+    tally.check("as processes: memory stays below the limits", lambda: memory_fits(order))
+    for pod in clients:
+        tally.check(f"as processes: {pod.name} ends well within its grace period", pod.stop)
+    # Runs last, because the run stores the number of steps it is given.
+    tally.check("as processes: a learner whose run has its steps ends well", lambda: ends_again(learner))
+    tally.check("as processes: router ends well within its grace period", router.stop)
