@@ -1,49 +1,36 @@
 """Starts the ring of deploy/compose.yaml in containers, injects faults, and checks what was lost.
 
-Usage: python lab/compose --binary target/debug/lodestone [--compose COMMAND] [--patience X] [--keep]
+Usage: python3 -m lab.compose --binary target/debug/lodestone [--compose COMMAND] [--patience X] [--keep]
 
-Needs root, the Debian packages docker.io, docker-compose, debootstrap, and iptables (or a daemon and Compose from
-elsewhere), the Python package eclipse-zenoh, and `strip`. With the package prometheus, it also checks monitoring. It
-installs nothing. Starts a daemon if none is running and stops it at the end. The last line counts the checks. The exit
-code is 0 if all passed.
+Needs root, a Docker daemon that runs, Compose, debootstrap, and the Python package eclipse-zenoh. With the package
+prometheus, it also checks monitoring. It installs nothing. The last line counts the checks. The exit code is 0 if all
+passed.
 """
 
 import argparse
-import importlib.util
 import os
-import shutil
 import signal
 import sys
+import tempfile
 from pathlib import Path
 
-# Write no bytecode next to the modules in this folder.
-sys.dont_write_bytecode = True
-
-from checks import Patience, Tally
-from daemon import daemon
-from shell import works
+from ..ring.checks import Patience, Tally
+from ..ring.processes import demand, run, works
+from .image import image_is_plain, read_sources, remove_image, runtime_image
+from .ring import Ring
+from .scenario import Scenario
 
 # Program -> Debian package that provides it.
-PROGRAMS = {"docker": "docker.io", "debootstrap": "debootstrap", "strip": "binutils", "tar": "tar"}
+PROGRAMS = {"docker": "docker.io", "debootstrap": "debootstrap", "strip": "binutils", "tar": "tar", "setpriv": "util-linux"}
 
 COMPOSE = (["docker-compose"], ["docker", "compose"])
 
-
-def missing() -> list[str]:
-    """Returns the unmet requirements as messages."""
-    found = [f"{program} is missing (package {name})" for program, name in PROGRAMS.items() if not shutil.which(program)]
-    if importlib.util.find_spec("zenoh") is None:
-        found.append("the Python package eclipse-zenoh is missing (pip install -r deploy/examples/requirements.txt)")
-    if not any(works([*command, "version"]) for command in COMPOSE):
-        found.append("Compose is missing (package docker-compose, or the plugin of Compose v2)")
-    if os.geteuid() != 0:
-        found.append("only root can make a base image and kill processes in containers")
-    return found
+# After this many failures, the remaining checks would only time out.
+ENOUGH = 3
 
 
 def arguments() -> argparse.Namespace:
-    """Parses the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python3 -m lab.compose", description=__doc__.splitlines()[0])
     parser.add_argument("--binary", type=Path, required=True, help="the program to put into the image")
     parser.add_argument("--compose", help="`docker-compose` or `docker compose` [default: both, where they are]")
     parser.add_argument("--patience", type=float, default=1.0, metavar="X", help="wait X times as long, on a busy machine")
@@ -52,26 +39,31 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Runs all checks and returns the exit code."""
+    """Runs all checks with each of the Compose commands and returns the exit code."""
     args = arguments()
-    if lacks := missing():
-        print("\n".join(lacks), file=sys.stderr)
-        return 2
-    if not args.binary.is_file():
-        print(f"{args.binary} is no file: build it with `cargo build`", file=sys.stderr)
-        return 2
-    import scenario  # It needs what may be missing.
-
+    composes = [args.compose.split()] if args.compose else [command for command in COMPOSE if works([*command, "version"])]
+    lacks = [] if composes else ["Compose is missing (package docker-compose, or the plugin of Compose v2)"]
+    lacks += [] if works(["docker", "version"]) else ["no Docker daemon answers: start dockerd"]
+    lacks += [] if os.geteuid() == 0 else ["only root can make a base image and kill processes in containers"]
+    demand(args.binary, PROGRAMS, lacks)
     # Exit cleanly on SIGTERM, for example from a time limit, so that nothing is left behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     Patience.factor = args.patience
-    tally = Tally()
-    with daemon() as which:
-        print(f"Docker: {which}", flush=True)
-        commands = [args.compose.split()] if args.compose else [c for c in COMPOSE if works([*c, "version"])]
-        scenario.run(tally, args.binary, commands, args.keep)
-    print(tally.closing_line())
-    return 1 if tally.n_failed else 0
+    tally, image = Tally(enough=ENOUGH), f"lodestone-test:{os.getpid()}"
+    if not tally.check("the image is built", lambda: f"{runtime_image(args.binary, image) / 1e6:.0f} MB"):
+        return tally.close()
+    try:
+        tally.check("cargo finds every crate in the context", lambda: read_sources(image))
+        tally.check("the image needs no shell and no root", lambda: image_is_plain(image))
+        for number, compose in enumerate(composes):
+            print(f"\nwith {run([*compose, 'version']).splitlines()[0]}", flush=True)
+            with tempfile.TemporaryDirectory(prefix="lodestone-compose-") as folder:
+                ring = Ring(compose, f"lodestone-test-{os.getpid()}-{number}", image)
+                Scenario(tally, ring, Path(folder)).play(args.keep)
+    finally:
+        if not (args.keep and tally.n_failed):
+            remove_image(image)
+    return tally.close()
 
 
 if __name__ == "__main__":

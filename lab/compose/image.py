@@ -3,17 +3,18 @@
 import os
 import platform
 import shutil
-import subprocess
 import tempfile
 from pathlib import Path
 
-from checks import Failed, require
-from shell import run, works
-
-ROOT = Path(__file__).resolve().parents[2]
+from ..ring.checks import require
+from ..ring.processes import ROOT, Word, run, works
+from .ring import inspect
 
 # A base image with its own name, so that it never replaces the real one.
 BASE = "lodestone-test-base"
+
+# Not needed because nothing is ever installed. The official slim image drops these too.
+BALLAST = ("var/cache/apt/archives", "var/lib/apt/lists", "usr/share/doc", "usr/share/locale", "usr/share/man")
 
 # The classic builder is part of the daemon. BuildKit would need a plugin.
 CLASSIC = {**os.environ, "DOCKER_BUILDKIT": "0"}
@@ -21,22 +22,20 @@ CLASSIC = {**os.environ, "DOCKER_BUILDKIT": "0"}
 
 def base_image() -> str:
     """Returns the base image's tag. Builds the image from Debian packages unless an earlier run left it."""
-    suite = _suite()
+    # This machine's Debian release, because the binary needs the C library it was built with.
+    about = platform.freedesktop_os_release()
+    require(about.get("ID") == "debian", "the image's base is made from this machine's Debian release: this is no Debian")
+    suite = about["VERSION_CODENAME"]
     tag = f"{BASE}:{suite}"
-    if works(["docker", "image", "inspect", tag]):
-        return tag
-    with tempfile.TemporaryDirectory(prefix="lodestone-base-") as folder:
-        root = Path(folder) / "root"
-        command: list[str | Path] = ["debootstrap", "--variant=minbase", suite, root]
-        if mirror := os.environ.get("DEBIAN_MIRROR"):
-            command.append(mirror)
-        run(command, seconds=600)
-        # Not needed because nothing is ever installed. The official slim image drops these too.
-        for ballast in ("var/cache/apt/archives", "var/lib/apt/lists", "usr/share/doc", "usr/share/locale", "usr/share/man"):
-            shutil.rmtree(root / ballast, ignore_errors=True)
-        with subprocess.Popen(["tar", "-C", root, "-c", "."], stdout=subprocess.PIPE) as packed:
-            imported = subprocess.run(["docker", "import", "-", tag], stdin=packed.stdout, capture_output=True, check=False)
-        require(imported.returncode == 0 and packed.returncode == 0, f"docker import: {imported.stderr.decode()}")
+    if not works(["docker", "image", "inspect", tag]):
+        with tempfile.TemporaryDirectory(prefix="lodestone-base-") as folder:
+            root, packed = Path(folder) / "root", Path(folder) / "root.tar"
+            mirror = [address] if (address := os.environ.get("DEBIAN_MIRROR")) else []
+            run(["debootstrap", "--variant=minbase", suite, root, *mirror], seconds=600)
+            for ballast in BALLAST:
+                shutil.rmtree(root / ballast, ignore_errors=True)
+            run(["tar", "-C", root, "-cf", packed, "."])
+            run(["docker", "import", packed, tag])
     return tag
 
 
@@ -45,7 +44,7 @@ def runtime_image(binary: Path, tag: str) -> int:
     with tempfile.TemporaryDirectory(prefix="lodestone-context-") as folder:
         run(["strip", "-o", Path(folder) / "lodestone", binary])
         Path(folder, "lodestone").chmod(0o755)
-        _build("prebuilt", folder, tag, BINARY="lodestone")
+        build("prebuilt", folder, tag, BINARY="lodestone")
     return int(run(["docker", "image", "inspect", "--format", "{{.Size}}", tag]))
 
 
@@ -60,27 +59,29 @@ def read_sources(tag: str) -> None:
         Path(folder, "Dockerfile").write_text(f"FROM {base_image()}\nCOPY cargo /usr/local/bin/cargo\n")
         run(["docker", "build", "--quiet", "--tag", cargo, folder], env=CLASSIC)
     try:
-        _build("sources", ROOT, rust, RUST_IMAGE=cargo)
+        build("sources", ROOT, rust, RUST_IMAGE=cargo)
         remove_image(rust)
     finally:
         remove_image(cargo)
 
 
-def _build(stage: str, context: str | Path, tag: str, **arguments: str) -> None:
+def build(stage: str, context: Word, tag: str, **arguments: str) -> None:
     """Builds a stage of deploy/Dockerfile."""
     given = [f"--build-arg={name}={value}" for name, value in {"BASE_IMAGE": base_image(), **arguments}.items()]
-    file = ["--file", ROOT / "deploy/Dockerfile", "--target", stage, "--tag", tag]
+    file = ["--file", str(ROOT / "deploy/Dockerfile"), "--target", stage, "--tag", tag]
     run(["docker", "build", "--quiet", "--force-rm", *file, *given, context], env=CLASSIC)
+
+
+def image_is_plain(image: str) -> str:
+    """Checks the image's user, health check, and stop signal, and that the program runs without any privilege."""
+    about = inspect(image)["Config"]
+    require(about["User"] == "10001:10001", f"its user is {about['User']}")
+    require(about["Healthcheck"]["Test"] == ["CMD", "lodestone", "healthcheck"], f"{about['Healthcheck']}")
+    require(about["StopSignal"] == "SIGTERM", f"{about['StopSignal']}")
+    hardened = ["--read-only", "--cap-drop=ALL", "--security-opt=no-new-privileges", "--network=none"]
+    return run(["docker", "run", "--rm", *hardened, image, "--version"]).strip()
 
 
 def remove_image(tag: str) -> None:
     """Removes `tag` and its unused layers."""
     run(["docker", "image", "rm", "--force", tag])
-
-
-def _suite() -> str:
-    """Returns this machine's Debian release, because the binary needs the C library it was built with."""
-    about = platform.freedesktop_os_release()
-    if about.get("ID") != "debian" or "VERSION_CODENAME" not in about:
-        raise Failed("the image's base is made from this machine's Debian release, and this is no Debian")
-    return about["VERSION_CODENAME"]

@@ -1,22 +1,18 @@
 """Runs Prometheus with the shipped configuration against the page, and checks the Grafana dashboard's queries."""
 
-import contextlib
 import json
 import re
-import subprocess
 import tempfile
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from checks import Failed, require, until
-from image import ROOT
-from ring import Ring, free_port
-from shell import run
+from ..ring.checks import Failed, require
+from ..ring.processes import ROOT, Process, free_port, run
+from .ring import Ring, wait
 
 FOLDER = ROOT / "deploy/monitoring"
 
@@ -48,40 +44,31 @@ def names_exist(ring: Ring) -> str:
 
 def panels_have_values(ring: Ring) -> str:
     """Checks that Prometheus scrapes the page and returns values for every panel."""
-    asked = expressions()
-    with _prometheus(ring.page_port) as port:
-        for title, expression in asked:
-            # Grafana replaces these variables with a few scrape intervals and the selected run.
-            query = expression.replace("$__rate_interval", "15s").replace("$run", ring.name())
-            until(f"values for `{title}` ({query})", 40, partial(_query, port, query))
+    asked, port = expressions(), free_port()
+    local = (FOLDER / "prometheus.yml").read_text()
+    require(f'"{TARGET}"' in local, f"prometheus.yml does not scrape {TARGET}")
+    local = local.replace(TARGET, f"127.0.0.1:{ring.page_port}")
+    local = re.sub(r"(scrape_interval|scrape_timeout): \d+s", r"\1: 2s", local)
+    with tempfile.TemporaryDirectory(prefix="lodestone-prometheus-") as folder:
+        config = Path(folder) / "prometheus.yml"
+        config.write_text(local)
+        command = ["prometheus", f"--config.file={config}", f"--storage.tsdb.path={folder}/data"]
+        server = Process([*command, f"--web.listen-address=127.0.0.1:{port}"], Path(folder) / "log")
+        try:
+            for title, expression in asked:
+                # Grafana replaces these variables with a few scrape intervals and the selected run.
+                text = expression.replace("$__rate_interval", "15s").replace("$run", ring.name())
+                wait(f"values for `{title}` ({text})", 40, partial(query, port, text))
+        except Failed as error:
+            raise Failed(f"{error}\n{server.said()}") from None
+        finally:
+            server.kill()
     return f"{len(asked)} expressions"
 
 
-@contextlib.contextmanager
-def _prometheus(page_port: int) -> Iterator[int]:
-    """Runs a Prometheus server that scrapes the page and yields its port."""
-    port = free_port()
-    delivered = (FOLDER / "prometheus.yml").read_text()
-    require(f'"{TARGET}"' in delivered, f"prometheus.yml does not scrape {TARGET}")
-    local = delivered.replace(TARGET, f"127.0.0.1:{page_port}").replace("scrape_interval: 10s", "scrape_interval: 2s")
-    local = local.replace("scrape_timeout: 5s", "scrape_timeout: 2s")
-    with tempfile.TemporaryDirectory(prefix="lodestone-prometheus-") as folder:
-        config, log = Path(folder) / "prometheus.yml", Path(folder) / "log"
-        config.write_text(local)
-        command = ["prometheus", f"--config.file={config}", f"--storage.tsdb.path={folder}/data"]
-        with log.open("wb") as out:
-            server = subprocess.Popen([*command, f"--web.listen-address=127.0.0.1:{port}"], stdout=out, stderr=subprocess.STDOUT)
-        try:
-            yield port
-        except Failed as error:
-            raise Failed(f"{error}\n{log.read_text(errors='replace')[-800:]}") from None
-        finally:
-            server.terminate()
-            server.wait(30)
-
-
-def _query(port: int, query: str) -> list[Any]:
-    address = f"http://127.0.0.1:{port}/api/v1/query?{urllib.parse.urlencode({'query': query})}"
+def query(port: int, text: str) -> list[Any]:
+    """Returns what Prometheus answers to a query."""
+    address = f"http://127.0.0.1:{port}/api/v1/query?{urllib.parse.urlencode({'query': text})}"
     try:
         with urllib.request.urlopen(address, timeout=5) as answer:
             return list(json.load(answer)["data"]["result"])
