@@ -47,33 +47,30 @@ const HEADERS: [(HeaderName, &str); 5] = [
 /// A file of the page: path, content type and text.
 type Asset = (&'static str, &'static str, &'static str);
 
-/// The page's files, which are embedded in the binary.
-pub(super) const ASSETS: [Asset; 7] = [
+const JS: &str = "text/javascript; charset=utf-8";
+
+/// The page's files, which are embedded in the binary. Its modules import each other by these paths.
+pub(super) const ASSETS: [Asset; 19] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
-    (
-        "/app.js",
-        "text/javascript; charset=utf-8",
-        concat!(
-            include_str!("assets/format.js"),
-            include_str!("assets/heat.js"),
-            include_str!("assets/curves.js"),
-            include_str!("assets/health.js"),
-            include_str!("assets/solid.js"),
-            include_str!("assets/terms.js"),
-            include_str!("assets/attention.js"),
-            include_str!("assets/replay.js"),
-            include_str!("assets/stage.js"),
-            include_str!("assets/editor.js"),
-            include_str!("assets/films.js"),
-            include_str!("assets/app.js"),
-        ),
-    ),
+    ("/app.js", JS, include_str!("assets/app.js")),
+    ("/attention.js", JS, include_str!("assets/attention.js")),
+    ("/curves.js", JS, include_str!("assets/curves.js")),
+    ("/editor.js", JS, include_str!("assets/editor.js")),
+    ("/films.js", JS, include_str!("assets/films.js")),
+    ("/format.js", JS, include_str!("assets/format.js")),
+    ("/health.js", JS, include_str!("assets/health.js")),
+    ("/heat.js", JS, include_str!("assets/heat.js")),
+    ("/model.js", JS, include_str!("assets/model.js")),
+    ("/replay.js", JS, include_str!("assets/replay.js")),
+    ("/solid.js", JS, include_str!("assets/solid.js")),
+    ("/stage.js", JS, include_str!("assets/stage.js")),
+    ("/terms.js", JS, include_str!("assets/terms.js")),
     // Loaded when the first episode is shown or the user starts to draw.
-    ("/space.js", "text/javascript; charset=utf-8", include_str!("assets/space.js")),
-    ("/draw.js", "text/javascript; charset=utf-8", include_str!("assets/draw.js")),
-    ("/three.js", "text/javascript; charset=utf-8", include_str!("assets/vendor/three.min.js")),
+    ("/space.js", JS, include_str!("assets/space.js")),
+    ("/draw.js", JS, include_str!("assets/draw.js")),
+    ("/three.js", JS, include_str!("assets/vendor/three.min.js")),
 ];
 
 /// Modules to load early if the page opens with an episode.

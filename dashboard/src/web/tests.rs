@@ -132,6 +132,17 @@ async fn event_with(lines: &mut BufReader<TcpStream>, name: &str, wanted: impl F
     }
 }
 
+#[test]
+fn every_module_is_served_with_what_it_imports() {
+    for (path, _, text) in routes::ASSETS.iter().filter(|(path, ..)| path.ends_with(".js")) {
+        for name in text.split("\"./").skip(1).filter_map(|rest| rest.split('"').next()) {
+            let is_served = routes::ASSETS.iter().any(|(path, ..)| path.strip_prefix('/') == Some(name));
+            // Types are for the checker only.
+            assert!(is_served || name == "types", "{path} imports {name}");
+        }
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn only_what_is_meant_to_be_seen_is_served() {
     let dir = tempfile::tempdir().unwrap();

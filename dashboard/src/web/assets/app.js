@@ -1,23 +1,21 @@
-// Page state, the event stream, and redraw scheduling.
+// The page: makes its parts, follows the event stream, and schedules redraws.
 
-const model = {
-  history: { blueprints: [], passes: [], n_left_out: 0 },
-  points: [],
-  learner: null,
-  summary: null,
-  actors: new Map(),
-  roster: { actors: [], learners: [], evaluators: [] },
-  acting: "greedy",
-  about: null,
-  // The event stream: "waiting", "live", "away" or "ended".
-  link: "waiting",
-  // Why nothing answers any longer; `null` while something does.
-  gone: null,
-  // URL prefix of the shown run's endpoints. On a page of several runs, all but the first have one.
-  base: "",
-};
-const $ = (id) => document.getElementById(id);
-const heat = new Heat($("heat"), $("heat-cell"));
+import { Attention } from "./attention.js";
+import { drawBeside, drawCurves, drawGroups } from "./curves.js";
+import { Editor } from "./editor.js";
+import { askFilms, filmOf } from "./films.js";
+import { $, count, decimal, element, interval, minutes, percent, sentence } from "./format.js";
+import { drawDrops, drawHealth, drawRoster, toPoint } from "./health.js";
+import { Heat } from "./heat.js";
+import { answerAt, isCopy, model } from "./model.js";
+import { Replay, askReplay, openRecording } from "./replay.js";
+import { apart3, placed } from "./solid.js";
+import { Stage } from "./stage.js";
+import { Terms } from "./terms.js";
+
+/** @import { About, Acting, Film, History, Pass, Roster, Row } from "./types" */
+
+const heat = new Heat($("heat"), $("heat-cell"), openCell);
 const replay = new Replay({
   canvas: $("replay"), slider: $("replay-slider"), playButton: $("replay-play"),
   back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
@@ -34,7 +32,7 @@ const replay = new Replay({
 });
 const stage = new Stage(replay, {
   choose: $("stage-choose"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), mode: $("stage-mode"),
-  onward: $("stage-onward"), keep: $("stage-keep"), note: $("replay-note"), dialog: $("gallery"), only: [],
+  onward: $("stage-onward"), keep: $("stage-keep"), note: $("replay-note"), dialog: $("gallery"),
 });
 const editor = new Editor(stage, {
   open: $("draw-open"), board: $("draw-board"), palette: $("draw-palette"), canvas: $("draw-canvas"), layer: $("draw-layer"),
@@ -42,24 +40,34 @@ const editor = new Editor(stage, {
   match: $("draw-match"), name: $("draw-name"), policy: $("draw-policy"), expert: $("draw-expert"), save: $("draw-save"),
   file: $("draw-file"), copy: $("draw-copy"),
 });
-const openFilm = (film) => openRecording(replay, $("replay-note"), film);
+const openFilm = (/** @type {Film} */ film) => openRecording(replay, $("replay-note"), film);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
-heat.opened = async ({ id }, pass) => {
-  // Opens the clip that this evaluation recorded, or else plays the same blueprint with the newest weights.
+
+/**
+ * Opens the clip that an evaluation recorded, or else plays the same blueprint with the newest weights.
+ * @param {Row} row
+ * @param {Pass} pass
+ */
+async function openCell({ id }, pass) {
   const recorded = await filmOf(id, pass.weights_version);
   if (recorded) {
     openFilm(recorded);
     return;
   }
   if (!model.about || !model.about.can_play || (isCopy && !stage.only.includes(id))) return;
-  if (!stage.keep.checked) stage.seed = 0;
+  if (!stage.parts.keep.checked) stage.seed = 0;
   stage.start(id);
   $("replay-title").scrollIntoView();
-};
+}
+
 $("heat-find").addEventListener("input", () => heat.find($("heat-find").value));
+/** @type {Set<string>} */
 const stale = new Set();
 
-/** Redraws the named parts in the next frame, once per frame at most. */
+/**
+ * Redraws the named parts in the next frame, once per frame at most.
+ * @param {...("history" | "learner" | "roster")} parts
+ */
 function redraw(...parts) {
   if (stale.size === 0) requestAnimationFrame(draw);
   parts.forEach((part) => stale.add(part));
@@ -98,7 +106,7 @@ function drawTiles() {
   // Before the first evaluation ends, show its preliminary numbers.
   const success = last ? last.all[model.acting] : now && now.success;
   const learner = model.learner || model.points[model.points.length - 1];
-  const { kind, n_env_steps: target } = model.about || {};
+  const { kind, n_env_steps: target } = model.about || /** @type {Partial<About>} */ ({});
   const soFar = success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing evaluated yet";
   const episodes = now ? `${success ? `${interval(success)}; ` : ""}${now.text}` : soFar;
   const isLive = model.link === "live";
@@ -125,7 +133,10 @@ function drawTiles() {
     element("div", {}, element("dt", {}, name), element("dd", {}, value, element("small", {}, more)))));
 }
 
-/** Sets up the page for its kind: a run in progress, a finished run, or a playing policy. */
+/**
+ * Sets up the page for its kind: a run in progress, a finished run, or a playing policy.
+ * @param {About} about
+ */
 function introduce(about) {
   model.about = about;
   const name = about.preset && about.preset !== about.run ? `${about.run}, preset ${about.preset}` : about.run;
@@ -152,7 +163,10 @@ function introduce(about) {
   stage.start(isCopy ? about.recorded[about.recorded.length - 1] : about.first);
 }
 
-/** Adds a run selector and a chart with the curves of all runs. */
+/**
+ * Adds a run selector and a chart with the curves of all runs.
+ * @param {About["runs"]} runs
+ */
 function chooseRun(runs) {
   const choice = element("select", { "aria-label": "Run", "data-served": "" }, ...runs.map(({ name }, i) => element("option", { value: String(i) }, name)));
   choice.value = String(Math.max(runs.findIndex(({ base }) => base === model.base), 0));
@@ -169,6 +183,11 @@ function chooseRun(runs) {
   });
 }
 
+/**
+ * Shows the state of the event stream.
+ * @param {typeof model.link} state
+ * @param {string} text
+ */
 function say(state, text) {
   model.link = state;
   redraw("roster");
@@ -177,16 +196,21 @@ function say(state, text) {
   $("state").textContent = text;
 }
 
-/** Says why nothing answers any longer and disables what needs an answer; `null` reverts that. */
+/**
+ * Says why nothing answers any longer and disables what needs an answer; `null` reverts that.
+ * @param {string | null} reason
+ * @param {string | null} [command] shows the same again
+ */
 function part(reason, command) {
   if (model.gone === reason) return;
   model.gone = reason;
-  for (const served of document.querySelectorAll("[data-served]")) {
+  for (const served of /** @type {NodeListOf<HTMLFieldSetElement>} */ (document.querySelectorAll("[data-served]"))) {
     served.disabled = reason !== null;
     served.title = reason || "";
   }
   // Films that have not been loaded cannot be.
-  for (const film of document.querySelectorAll("#films video")) film.controls = reason === null || film.readyState > 0;
+  const films = /** @type {NodeListOf<HTMLVideoElement>} */ (document.querySelectorAll("#films video"));
+  for (const film of films) film.controls = reason === null || film.readyState > 0;
   document.querySelector("footer").hidden = reason !== null;
   $("farewell").hidden = reason === null;
   if (reason === null) return;
@@ -196,6 +220,7 @@ function part(reason, command) {
   $("farewell").replaceChildren(`${reason} The page keeps what it has until you reload it.`, ...again);
 }
 
+/** @type {Promise<void> | null} */
 let asking = null;
 let askAgain = false;
 
@@ -225,6 +250,10 @@ async function loadHistory() {
   asking = null;
 }
 
+/**
+ * Takes in new metrics.
+ * @param {{ key: string, payload: any }} sample
+ */
 function measured({ key, payload }) {
   if (key === "learner" && payload && payload.ppo) {
     model.learner = payload;
@@ -242,6 +271,10 @@ function measured({ key, payload }) {
   }
 }
 
+/**
+ * Takes in who is alive.
+ * @param {Roster} roster
+ */
 function gathered(roster) {
   const [before, now] = [new Set(model.roster.actors), new Set(roster.actors)];
   const came = roster.actors.filter((name) => !before.has(name));
@@ -258,6 +291,7 @@ let nMisses = 0;
 
 function listen() {
   const source = new EventSource(`${model.base}/api/events`);
+  /** @type {(name: string, handle: (data: any) => void) => void} */
   const on = (name, handle) => source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
   on("metrics", measured);
   on("roster", gathered);
@@ -295,8 +329,8 @@ function listen() {
   };
 }
 
-$("acting").addEventListener("change", (event) => {
-  model.acting = event.target.value;
+$("acting").addEventListener("change", ({ target }) => {
+  model.acting = /** @type {Acting} */ (/** @type {HTMLInputElement} */ (target).value);
   redraw("history");
 });
 let width = 0;
@@ -324,4 +358,6 @@ async function begin() {
   askHistory();
   askFilms($("films"), $("films-note"), openFilm);
 }
+// For the console and for tests in a browser, which see only what the window has. No module reads these there.
+Object.assign(window, { apart3, editor, heat, placed, replay });
 begin();

@@ -1,51 +1,90 @@
 // The network's attention over an episode: a strip of the goal's blocks over time, and shading of the blocks.
 
+import { element, svg } from "./format.js";
+
+/** @import { Attended, Episode, Rgb } from "./types" */
+
 /** Color scale from 0 to 50 % or more attention, as in the video clips. */
 const SHADES = [[240, 242, 246], [247, 164, 66], [140, 14, 84]];
 
-function shade(percent) {
+/**
+ * Returns the color of a block with this attention.
+ * @param {number} percent
+ * @returns {Rgb}
+ */
+export function shade(percent) {
   const at = Math.min(percent / 50, 1) * (SHADES.length - 1);
   const low = Math.min(Math.floor(at), SHADES.length - 2);
   return SHADES[low].map((x, i) => Math.round(x + (SHADES[low + 1][i] - x) * (at - low)));
 }
 
-class Attention {
-  /** Calls `changed` when the user selects another source. */
-  constructor({ part, choice, strip, note }, changed) {
-    Object.assign(this, { part, choice, strip, note });
-    choice.addEventListener("change", () => {
+/**
+ * @typedef {object} Parts
+ * @property {HTMLElement} part holds the choice, and is hidden without attention
+ * @property {HTMLSelectElement} choice the source
+ * @property {HTMLElement} strip
+ * @property {HTMLElement} note
+ */
+
+export class Attention {
+  /** @type {Attended | null} */
+  told = null;
+  /**
+   * The goal's blocks.
+   * @type {number[]}
+   */
+  blocks;
+  /** @type {Rgb[]} */
+  colors;
+  /**
+   * Marks the time in the strip.
+   * @type {SVGLineElement}
+   */
+  now;
+
+  /**
+   * @param {Parts} parts
+   * @param {() => void} changed called when the user selects another source
+   */
+  constructor(parts, changed) {
+    this.parts = parts;
+    parts.choice.addEventListener("change", () => {
       this.draw();
       changed();
     });
   }
 
+  /** @param {Episode} episode */
   show(episode) {
     this.told = episode.attention;
-    this.part.hidden = !this.told;
+    this.parts.part.hidden = !this.told;
     if (!this.told) return;
     this.blocks = episode.goal.map(([block]) => block);
     this.colors = episode.colors;
-    const before = this.choice.value;
+    const before = this.parts.choice.value;
     const options = ["off", ...this.told.sources].map((name, i) => element("option", { value: String(i - 1) }, name));
-    this.choice.replaceChildren(...options);
-    this.choice.value = options.some((option) => option.value === before) ? before : "-1";
-    this.note.textContent = `Attention of weights ${this.told.weights_version}, no matter who acted. Each row is a block of the goal; the last row is all others.`;
+    this.parts.choice.replaceChildren(...options);
+    this.parts.choice.value = options.some((option) => option.value === before) ? before : "-1";
+    this.parts.note.textContent = `Attention of weights ${this.told.weights_version}, no matter who acted. Each row is a block of the goal; the last row is all others.`;
     this.draw();
   }
 
-  /** Returns the attention of the selected source in percent by block, or `null` if none is selected. */
+  /**
+   * Returns the attention of the selected source in percent by block, or `null` if none is selected.
+   * @param {number} time in scenes
+   */
   at(time) {
-    const source = Number(this.choice.value);
+    const source = Number(this.parts.choice.value);
     return this.told && source >= 0 ? this.told.percent[source][Math.floor(time)] : null;
   }
 
   draw() {
-    const source = Number(this.choice.value);
-    this.strip.hidden = source < 0;
+    const source = Number(this.parts.choice.value);
+    this.parts.strip.hidden = source < 0;
     if (source < 0) return;
     const scenes = this.told.percent[source];
-    const rest = (scene) => scene.reduce((sum, x, block) => sum + (this.blocks.includes(block) ? 0 : x), 0);
-    const rows = [...this.blocks.map((block) => (scene) => scene[block]), rest];
+    const rest = (/** @type {number[]} */ scene) => scene.reduce((sum, x, block) => sum + (this.blocks.includes(block) ? 0 : x), 0);
+    const rows = [...this.blocks.map((block) => (/** @type {number[]} */ scene) => scene[block]), rest];
     const label = `Attention of ${this.told.sources[source]} over ${scenes.length - 1} steps`;
     const drawing = svg("svg", { viewBox: `-3 0 ${scenes.length + 3} ${rows.length}`, preserveAspectRatio: "none", role: "img", "aria-label": label });
     rows.forEach((share, row) => {
@@ -57,13 +96,14 @@ class Attention {
     });
     this.now = svg("line", { class: "now", y1: 0, y2: rows.length });
     drawing.append(this.now);
-    this.strip.style.height = `${Math.min(rows.length * 14, 160)}px`;
-    this.strip.replaceChildren(drawing);
+    this.parts.strip.style.height = `${Math.min(rows.length * 14, 160)}px`;
+    this.parts.strip.replaceChildren(drawing);
   }
 
+  /** @param {number} time in scenes */
   seek(time) {
-    if (!this.told || Number(this.choice.value) < 0) return;
-    this.now.setAttribute("x1", Math.floor(time) + 0.5);
-    this.now.setAttribute("x2", Math.floor(time) + 0.5);
+    if (!this.told || Number(this.parts.choice.value) < 0) return;
+    this.now.setAttribute("x1", String(Math.floor(time) + 0.5));
+    this.now.setAttribute("x2", String(Math.floor(time) + 0.5));
   }
 }

@@ -1,17 +1,27 @@
 // Success by group against environment steps, with 95 % intervals, and the table of the newest evaluation.
 
+import { count, element, fill, interval, minutes, percent, svg } from "./format.js";
+
+/** @import { Acting, History, Pass, Rate } from "./types" */
+
 const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation 2-6", "validation", "all"];
 /** Curves with fewer points than this have visible dots. */
 const MAX_DOTS = 40;
 
-const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "7 2 1 2", "1 2"];
+/** Dash patterns of the curves `g0`, `g1`, …, which differ in more than their color. */
+export const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "7 2 1 2", "1 2"];
 
-/** Creates an empty chart of rates (0 to 1) against environment steps (0 to `most`), with its coordinate functions. */
+/**
+ * Creates an empty chart of rates (0 to 1) against environment steps (0 to `most`), with its coordinate functions.
+ * @param {HTMLElement} place where it will be shown
+ * @param {number} most
+ * @param {string} label
+ */
 function rateAxes(place, most, label) {
   const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
   const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
-  const x = (steps) => left + (steps / most) * (width - left - right);
-  const y = (rate) => top + (1 - rate) * (height - top - bottom);
+  const x = (/** @type {number} */ steps) => left + (steps / most) * (width - left - right);
+  const y = (/** @type {number} */ rate) => top + (1 - rate) * (height - top - bottom);
   const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
   for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
     drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
@@ -24,7 +34,11 @@ function rateAxes(place, most, label) {
   return { drawing, x, y };
 }
 
-/** Returns round numbers from 0 to `most`, about `n` of them. */
+/**
+ * Returns round numbers from 0 to `most`, about `n` of them.
+ * @param {number} most
+ * @param {number} n
+ */
 function ticks(most, n) {
   if (most < n) return [0];
   const rough = most / n;
@@ -35,8 +49,14 @@ function ticks(most, n) {
   return all;
 }
 
-/** Draws success by group. Before the first evaluation ends, shows the preliminary numbers of `now`, if any. */
-function drawCurves(place, history, acting, now) {
+/**
+ * Draws success by group. Before the first evaluation ends, shows the preliminary numbers of `now`, if any.
+ * @param {HTMLElement} place
+ * @param {History} history
+ * @param {Acting} acting
+ * @param {{ success: Rate, text: string } | null} now
+ */
+export function drawCurves(place, history, acting, now) {
   const passes = history.passes.filter((pass) => pass.all[acting]);
   if (passes.length === 0) {
     const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : "No evaluation yet; the first comes with the first weights.";
@@ -54,7 +74,7 @@ function drawCurves(place, history, acting, now) {
   const { drawing, x, y } = rateAxes(place, Math.max(...passes.map((pass) => pass.n_env_steps), 1), label);
   GROUPS.forEach((name, i) => {
     const points = passes
-      .map((pass) => ({ steps: pass.n_env_steps, rate: (pass.groups.find((group) => group.name === name) || {})[acting] }))
+      .map((pass) => ({ steps: pass.n_env_steps, rate: pass.groups.find((group) => group.name === name)?.[acting] }))
       .filter((point) => point.rate);
     if (points.length === 0) return;
     const upper = points.map((point) => `${x(point.steps)},${y(point.rate.wilson_high)}`);
@@ -70,13 +90,18 @@ function drawCurves(place, history, acting, now) {
   place.replaceChildren(drawing);
 }
 
-function drawGroups(table, history) {
+/**
+ * Shows the newest evaluation by group.
+ * @param {HTMLTableElement} table
+ * @param {History} history
+ */
+export function drawGroups(table, history) {
   const last = history.passes[history.passes.length - 1];
   if (!last) {
     table.replaceChildren();
     return;
   }
-  const cells = (rate) => (rate ? [percent(rate.rate), interval(rate), String(rate.n_episodes)] : ["–", "–", "–"]);
+  const cells = (/** @type {Rate | null} */ rate) => (rate ? [percent(rate.rate), interval(rate), String(rate.n_episodes)] : ["–", "–", "–"]);
   const rows = [...last.groups, last.all].map((group) => {
     const i = GROUPS.indexOf(group.name);
     const dot = svg("svg", { class: "dot", viewBox: "0 0 22 12", "aria-hidden": "true" },
@@ -89,13 +114,18 @@ function drawGroups(table, history) {
   fill(table, caption, heads, rows);
 }
 
-/** Draws success on all blueprints against environment steps, several runs in one chart. */
-function drawBeside(place, runs, acting) {
+/**
+ * Draws success on all blueprints against environment steps, several runs in one chart.
+ * @param {HTMLElement} place
+ * @param {{ name: string, history: History }[]} runs
+ * @param {Acting} acting
+ */
+export function drawBeside(place, runs, acting) {
   const curves = runs.map(({ name, history }) => ({
     name,
     points: history.passes.filter((pass) => pass.all[acting]).map((pass) => ({ steps: pass.n_env_steps, rate: pass.all[acting].rate })),
   }));
-  const newest = ({ points }) => (points.length > 0 ? percent(points[points.length - 1].rate) : "no evaluation");
+  const newest = (/** @type {{ points: { rate: number }[] }} */ { points }) => (points.length > 0 ? percent(points[points.length - 1].rate) : "no evaluation");
   const label = `Success over environment steps; at last: ${curves.map((curve) => `${curve.name} ${newest(curve)}`).join(", ")}`;
   const { drawing, x, y } = rateAxes(place, Math.max(...curves.flatMap(({ points }) => points.map(({ steps }) => steps)), 1), label);
   const names = curves.map((curve, i) => {

@@ -4,6 +4,8 @@
 import { Space, blockMesh, dispose, ghostMesh, put, rgb } from "./space.js";
 import { Color, GridHelper, Vector3 } from "./three.js";
 
+/** @import { Drawn, Hit, Spot, Vector } from "./types" */
+
 /** Frame colors of selected blocks and of blocks with problems. */
 const [SELECTED, WRONG] = [[31, 111, 199], [214, 60, 20]];
 
@@ -11,9 +13,18 @@ const [SELECTED, WRONG] = [[31, 111, 199], [214, 60, 20]];
 const GRID = 24;
 
 export class Desk extends Space {
+  /** Height of the grid, cells. */
+  layer = 0;
+  /** @type {Drawn[]} */
+  drawn = [];
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {number} unit edge of a cell, meters
+   */
   constructor(canvas, unit) {
     super(canvas, () => {});
-    [this.unit, this.layer, this.drawn] = [unit, 0, []];
+    this.unit = unit;
     this.theme();
     this.camera.position.set(0.7, -1.25, 0.95);
     this.settle();
@@ -32,14 +43,19 @@ export class Desk extends Space {
     this.lift(this.layer);
   }
 
+  /**
+   * Moves the grid.
+   * @param {number} layer its height, cells
+   */
   lift(layer) {
     this.layer = layer;
     this.grid.position.z = layer * this.unit + 0.0005;
   }
 
   /**
-   * Shows the blocks of `drawn`, each with its `type`, `color`, own `cells`, `pose`, and lowest corner `at` and `size`
-   * on the grid. `marks` holds `"selected"`, `"wrong"` or a falsy value per block.
+   * Shows blocks.
+   * @param {Drawn[]} drawn
+   * @param {("selected" | "wrong" | null)[]} marks one per block
    */
   set(drawn, marks) {
     const fresh = drawn.map(({ type, cells, color }, i) => {
@@ -61,27 +77,36 @@ export class Desk extends Space {
     this.render();
   }
 
-  /** Shows where a block would be placed; `null` hides the preview. */
+  /**
+   * Shows where a block would be placed; `null` hides the preview.
+   * @param {Spot | null} place
+   */
   hint(place) {
     dispose(this.scene, this.ghosts);
     this.ghosts = [];
     if (place) {
       const mesh = ghostMesh(place.size.map((n) => (n * this.unit) / 2), place.color);
-      mesh.position.set(...place.at.map((x, k) => (x + place.size[k] / 2) * this.unit));
+      mesh.position.fromArray(place.at.map((x, k) => (x + place.size[k] / 2) * this.unit));
       this.scene.add(mesh);
       this.ghosts = [mesh];
     }
     this.render();
   }
 
-  /** Returns the object at a canvas pixel: a block and the cell next to the hit face, or a cell of the grid. */
+  /**
+   * Returns the object at a canvas pixel: a block and the cell next to the hit face, or a cell of the grid.
+   * @param {number} x
+   * @param {number} y
+   * @returns {Hit | null}
+   */
   pick(x, y) {
     const [width, height] = this.size;
     this.camera.updateMatrixWorld();
     const far = new Vector3((2 * x) / width - 1, 1 - (2 * y) / height, 0.5).unproject(this.camera);
     const from = this.camera.position.toArray().map((v) => v / this.unit);
     const way = far.toArray().map((v, k) => v / this.unit - from[k]);
-    const at = (t) => from.map((v, k) => v + t * way[k]);
+    const at = (/** @type {number} */ t) => from.map((v, k) => v + t * way[k]);
+    /** @type {Hit | null} */
     let best = null;
     this.drawn.forEach(({ at: low, size }, block) => {
       // The ray is inside the box where it is between both planes of all three axes.
@@ -106,7 +131,10 @@ export class Desk extends Space {
     return best;
   }
 
-  /** Returns the grid direction that points right on the screen. */
+  /**
+   * Returns the grid direction that points right on the screen.
+   * @returns {Vector}
+   */
   right() {
     const { x, y } = this.camera.position.clone().sub(this.controls.target);
     // A quarter turn from the direction to the camera.

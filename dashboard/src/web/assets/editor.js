@@ -1,28 +1,48 @@
 // Draw and build: the user places blocks on a grid. The server checks every state of the drawing, turns blocks until
 // poles match, and writes it as a blueprint file, which the agent then builds.
 
+import { $, element, sentence } from "./format.js";
+import { NO_ANSWER } from "./model.js";
+import { add3, cross3, dot3 } from "./solid.js";
+
+/** @import { Desk } from "./draw.js" */
+/** @import { Stage } from "./stage.js" */
+/** @import { Agent, Block, Findings, Kind, Spot, Vector } from "./types" */
+
 /** Extent of the drawing area: cells on each side of the center, and cells upward. */
 const [WIDE, HIGH] = [12, 24];
 
 /** Local storage key of the drawing, which survives reloads. */
 const KEPT = "lodestone-drawing";
 
+/** @type {(name: string) => Vector} */
 const axisOf = (name) => [0, 1, 2].map((k) => ("xyz"[k] === name[1] ? (name[0] === "+" ? 1 : -1) : 0));
+/** @type {(axis: Vector) => string} */
 const nameOf = (axis) => `${axis.some((v) => v > 0) ? "+" : "-"}${"xyz"[axis.findIndex((v) => v !== 0)]}`;
 
-/** Returns the images of the block's own x, y and z axes. */
+/**
+ * Returns the images of the block's own x, y and z axes.
+ * @param {string} axes
+ */
 function imagesOf(axes) {
   const [x, y] = axes.split(" ").map(axisOf);
   return [x, y, cross3(x, y)];
 }
 
-/** Returns the axes after a quarter turn about the axis `about`. */
+/**
+ * Returns the axes after a quarter turn about the axis `about`.
+ * @param {string} axes
+ * @param {Vector} about
+ */
 function quarter(axes, about) {
-  const turned = (v) => add3(about.map((a) => a * dot3(about, v)), cross3(about, v));
+  const turned = (/** @type {Vector} */ v) => add3(about.map((a) => a * dot3(about, v)), cross3(about, v));
   return axes.split(" ").map((name) => nameOf(turned(axisOf(name)).map(Math.round))).join(" ");
 }
 
-/** Returns the rotation as a quaternion x, y, z, w. */
+/**
+ * Returns the rotation as a quaternion x, y, z, w.
+ * @param {string} axes
+ */
 function quaternionOf(axes) {
   const [x, y, z] = imagesOf(axes);
   const squares = [1 + x[0] - y[1] - z[2], 1 - x[0] + y[1] - z[2], 1 - x[0] - y[1] + z[2], 1 + x[0] + y[1] + z[2]];
@@ -38,27 +58,96 @@ function quaternionOf(axes) {
   return rows[most].map((v) => v / length);
 }
 
-class Editor {
+/**
+ * @typedef {object} Parts
+ * @property {HTMLElement} open opens and closes the board
+ * @property {HTMLElement} board holds the parts below
+ * @property {HTMLElement} palette
+ * @property {HTMLCanvasElement} canvas
+ * @property {HTMLInputElement} layer the height of the grid
+ * @property {HTMLElement} layerText
+ * @property {HTMLElement} tools
+ * @property {HTMLElement} say
+ * @property {HTMLElement} problems
+ * @property {HTMLElement} list the blocks
+ * @property {HTMLButtonElement} match turns blocks so that poles match
+ * @property {HTMLInputElement} name
+ * @property {HTMLButtonElement} policy
+ * @property {HTMLButtonElement} expert
+ * @property {HTMLButtonElement} save
+ * @property {HTMLInputElement} file
+ * @property {HTMLButtonElement} copy opens the blueprint that the gallery has chosen
+ */
+
+export class Editor {
+  /** @type {Block[]} */
+  blocks = [];
+  /**
+   * Earlier blocks as JSON, for undo.
+   * @type {string[]}
+   */
+  past = [];
+  /**
+   * Index of the selected block.
+   * @type {number | null}
+   */
+  selected = null;
+  /**
+   * Type of the next block; `null` to select.
+   * @type {string | null}
+   */
+  tool = null;
+  /** How the next block lies. */
+  axes = "+x +y";
+  /** Of the grid, cells. */
+  height = 0;
+  /** Number of checks so far. */
+  asked = 0;
+  /** @type {Findings} */
+  found = { problems: [], connections: [], toml: null };
+  /**
+   * The problems that are shown, as JSON.
+   * @type {string | null}
+   */
+  told = null;
+  /**
+   * The view in 3D, once the board was opened.
+   * @type {Desk}
+   */
+  desk;
+  /** @type {Map<string, Kind>} */
+  kinds;
+  /** Edge of a cell, meters. */
+  unit = 0;
+  /**
+   * Where the pointer went down, pixels.
+   * @type {[number, number] | null}
+   */
+  pressed = null;
+
+  /**
+   * @param {Stage} stage
+   * @param {Parts} parts
+   */
   constructor(stage, parts) {
-    Object.assign(this, parts, { stage });
-    [this.blocks, this.past, this.selected, this.tool, this.height, this.asked] = [[], [], null, null, 0, 0];
-    this.found = { problems: [], connections: [], toml: null };
-    this.open.addEventListener("click", () => this.toggle());
-    this.tools.addEventListener("click", (event) => { if (event.target.dataset.do) this.act(event.target.dataset.do); });
-    this.layer.addEventListener("input", () => this.lift(Number(this.layer.value)));
-    this.match.addEventListener("click", () => this.change(() => { this.blocks.forEach((block) => { block.is_free = true; }); }));
-    this.name.addEventListener("input", () => this.ask(false));
-    for (const agent of ["policy", "expert"]) this[agent].addEventListener("click", () => this.build(agent));
-    this.save.addEventListener("click", () => this.download());
-    this.file.addEventListener("change", () => this.upload());
-    this.copy.addEventListener("click", () => this.take());
-    this.canvas.addEventListener("keydown", (event) => this.key(event));
+    this.stage = stage;
+    this.parts = parts;
+    this.parts.open.addEventListener("click", () => this.toggle());
+    this.parts.tools.addEventListener("click", ({ target }) => { if (target instanceof HTMLElement && target.dataset.do) this.act(target.dataset.do); });
+    this.parts.layer.addEventListener("input", () => this.lift(Number(this.parts.layer.value)));
+    this.parts.match.addEventListener("click", () => this.change(() => { this.blocks.forEach((block) => { block.is_free = true; }); }));
+    this.parts.name.addEventListener("input", () => this.ask(false));
+    for (const agent of /** @type {Agent[]} */ (["policy", "expert"])) this.parts[agent].addEventListener("click", () => this.build(agent));
+    this.parts.save.addEventListener("click", () => this.download());
+    this.parts.file.addEventListener("change", () => this.upload());
+    this.parts.copy.addEventListener("click", () => this.take());
+    this.parts.canvas.addEventListener("keydown", (event) => this.key(event));
     // A second finger or another button moves the view.
-    this.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null; });
-    this.canvas.addEventListener("pointerup", (event) => this.release(event));
-    this.canvas.addEventListener("pointermove", (event) => this.hover(event));
-    this.canvas.addEventListener("pointerleave", () => this.desk && this.desk.hint(null));
-    new ResizeObserver(() => this.resize()).observe(this.board);
+    this.parts.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null; });
+    this.parts.canvas.addEventListener("pointerup", (event) => this.release(event));
+    this.parts.canvas.addEventListener("pointermove", (event) => this.hover(event));
+    this.parts.canvas.addEventListener("pointerleave", () => this.desk && this.desk.hint(null));
+    new ResizeObserver(() => this.resize()).observe(this.parts.board);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       if (!this.desk) return;
       this.desk.theme();
@@ -67,21 +156,22 @@ class Editor {
   }
 
   /** Opens or closes the board. */
-  async toggle(on = this.board.hidden) {
-    this.board.hidden = !on;
-    this.open.setAttribute("aria-expanded", String(on));
-    this.open.textContent = on ? "Close the drawing" : "Draw a structure";
+  async toggle(on = this.parts.board.hidden) {
+    this.parts.board.hidden = !on;
+    this.parts.open.setAttribute("aria-expanded", String(on));
+    this.parts.open.textContent = on ? "Close the drawing" : "Draw a structure";
     if (!on || this.desk) return;
     try {
       const [{ Desk }, answer] = await Promise.all([import("./draw.js"), fetch("/api/inventory")]);
+      /** @type {{ types: Kind[], unit_m: number }} */
       const { types, unit_m: unit } = await answer.json();
       this.kinds = new Map(types.map((one) => [one.type, one]));
       this.unit = unit;
-      this.desk ||= new Desk(this.canvas, unit);
+      this.desk ||= new Desk(this.parts.canvas, unit);
       // From here on, opening and closing needs no answer.
-      delete this.open.parentElement.dataset.served;
+      delete this.parts.open.parentElement.dataset.served;
     } catch {
-      this.say.textContent = "This browser cannot draw in 3D, or the program does not answer.";
+      this.parts.say.textContent = "This browser cannot draw in 3D, or the program does not answer.";
       return;
     }
     this.restore();
@@ -93,32 +183,48 @@ class Editor {
   }
 
   resize() {
-    const width = this.canvas.clientWidth;
+    const width = this.parts.canvas.clientWidth;
     if (!this.desk || width === 0) return;
     const height = Math.round(Math.min(Math.max(width * 0.5, 320), 520, window.innerHeight * 0.62));
-    this.canvas.style.height = `${height}px`;
+    this.parts.canvas.style.height = `${height}px`;
     this.desk.resize(width, height);
     this.desk.render();
   }
 
+  /**
+   * Returns the size on the grid of a block that lies like this.
+   * @param {string} type
+   * @param {string} axes
+   * @returns {Vector}
+   */
   cells(type, axes) {
     const own = this.kinds.get(type).cells;
     const images = imagesOf(axes);
     return [0, 1, 2].map((k) => Math.abs(own.reduce((sum, n, i) => sum + n * images[i][k], 0)));
   }
 
+  /**
+   * Returns how many blocks of a type are left.
+   * @param {string} type
+   */
   left(type) {
     return this.kinds.get(type).count - this.blocks.filter((block) => block.type === type).length;
   }
 
-  /** Returns the name of a block, as used in problem reports. */
+  /**
+   * Returns the name of a block, as used in problem reports.
+   * @param {number} i
+   */
   called(i) {
     const same = this.blocks.filter(({ type }) => type === this.blocks[i].type);
     const { word } = this.kinds.get(this.blocks[i].type);
     return same.length === 1 ? word : `${word} ${same.indexOf(this.blocks[i]) + 1}`;
   }
 
-  /** Changes the blocks and saves the previous state for undo. */
+  /**
+   * Changes the blocks and saves the previous state for undo.
+   * @param {() => void} how
+   */
   change(how) {
     const before = JSON.stringify(this.blocks);
     how();
@@ -138,7 +244,8 @@ class Editor {
     this.speak();
     try {
       const blocks = this.blocks.map(({ type, at, axes, is_free }) => ({ type, at, axes, is_free }));
-      const answer = await fetch("/api/check", { method: "POST", body: JSON.stringify({ title: this.name.value, blocks }) });
+      const answer = await fetch("/api/check", { method: "POST", body: JSON.stringify({ title: this.parts.name.value, blocks }) });
+      /** @type {Findings | null} */
       const found = answer.ok ? await answer.json() : null;
       if (mine !== this.asked) return;
       if (found) {
@@ -155,7 +262,7 @@ class Editor {
 
   keep() {
     try {
-      localStorage.setItem(KEPT, JSON.stringify({ title: this.name.value, blocks: this.blocks }));
+      localStorage.setItem(KEPT, JSON.stringify({ title: this.parts.name.value, blocks: this.blocks }));
     } catch {
       // The browser may not allow storage.
     }
@@ -164,9 +271,10 @@ class Editor {
   /** Restores the saved drawing, if it is readable. */
   restore() {
     try {
+      /** @type {{ title: string, blocks: Block[] }} */
       const { title, blocks } = JSON.parse(localStorage.getItem(KEPT));
       if (!blocks.every(({ type, at, axes }) => this.kinds.has(type) && at.length === 3 && imagesOf(axes))) return;
-      [this.blocks, this.name.value] = [blocks, title];
+      [this.blocks, this.parts.name.value] = [blocks, title];
     } catch {
       // There is no saved drawing.
     }
@@ -182,18 +290,18 @@ class Editor {
       return { type, cells, color, at, size, pose: [...at.map((v, k) => (v + size[k] / 2) * this.unit), ...quaternionOf(axes)] };
     });
     this.desk.set(drawn, drawn.map((_, i) => (i === this.selected ? "selected" : wrong.has(i) ? "wrong" : null)));
-    const tool = (type, ...content) => {
+    const tool = (/** @type {string | null} */ type, /** @type {(Node | string)[]} */ ...content) => {
       const button = element("button", { type: "button", "aria-pressed": String(this.tool === type), "data-type": type || "" }, ...content);
       button.disabled = type !== null && this.left(type) === 0;
       button.addEventListener("click", () => this.choose(type));
       return button;
     };
-    this.palette.replaceChildren(tool(null, "Select"), ...[...this.kinds.values()].map(({ type, word, cells, color }) => {
+    this.parts.palette.replaceChildren(tool(null, "Select"), ...[...this.kinds.values()].map(({ type, word, cells, color }) => {
       const patch = element("i", {});
       patch.style.background = `rgb(${color.join(",")})`;
       return tool(type, patch, `${word} ${cells.join("×")}`, element("small", {}, `${this.left(type)} left`));
     }));
-    this.list.replaceChildren(...this.blocks.map((block, i) => {
+    this.parts.list.replaceChildren(...this.blocks.map((block, i) => {
       const button = element("button", { type: "button", "aria-pressed": String(i === this.selected) }, `${this.called(i)} at ${block.at.join(", ")}`);
       button.addEventListener("click", () => this.pick(i));
       return button;
@@ -208,62 +316,79 @@ class Editor {
     const counted = `${n} ${n === 1 ? "block" : "blocks"}, ${connections.length} ${connections.length === 1 ? "connection" : "connections"}`;
     const hint = this.tool ? `Click on the grid, or on a side of a block, to place a ${this.kinds.get(this.tool).word}.` : "Choose a block to place.";
     const more = toml ? "It can be built." : problems.length > 0 ? "" : n < 2 ? hint : "Checking …";
-    this.say.textContent = n === 0 ? hint : `${counted}. ${more}`;
+    this.parts.say.textContent = n === 0 ? hint : `${counted}. ${more}`;
     // Update only on changes, so that screen readers do not repeat the list.
     const told = JSON.stringify(problems);
-    if (this.told !== told) this.problems.replaceChildren(...problems.map(({ blocks, text }) => {
+    if (this.told !== told) this.parts.problems.replaceChildren(...problems.map(({ blocks, text }) => {
       const button = element("button", { type: "button" }, `${sentence(text)}.`);
       // Successive clicks step through the blocks of the problem.
       button.addEventListener("click", () => { if (blocks.length > 0) this.pick(blocks[(blocks.indexOf(this.selected) + 1) % blocks.length]); });
       return element("li", {}, button);
     }));
     this.told = told;
-    for (const button of [this.policy, this.expert, this.save]) button.disabled = !toml;
-    this.match.disabled = !problems.some(({ check }) => check === "polarity");
-    this.copy.disabled = !this.stage.chosen;
+    for (const button of [this.parts.policy, this.parts.expert, this.parts.save]) button.disabled = !toml;
+    this.parts.match.disabled = !problems.some(({ check }) => check === "polarity");
+    this.parts.copy.disabled = !this.stage.chosen;
+    /** @type {Record<string, boolean>} */
     const needed = { undo: this.past.length > 0, clear: n > 0, fit: true };
-    for (const button of this.tools.querySelectorAll("button")) button.disabled = !(needed[button.dataset.do] ?? (this.selected !== null || this.tool !== null));
+    for (const button of this.parts.tools.querySelectorAll("button")) button.disabled = !(needed[button.dataset.do] ?? (this.selected !== null || this.tool !== null));
   }
 
+  /**
+   * Chooses the type of the next block; `null` to select.
+   * @param {string | null} type
+   */
   choose(type) {
     [this.tool, this.selected] = [type, null];
-    this.axes ||= "+x +y";
     this.desk.hint(null);
     this.draw();
-    this.canvas.focus({ preventScroll: true });
+    this.parts.canvas.focus({ preventScroll: true });
   }
 
-  /** Selects a block for the keys to turn and move. */
+  /**
+   * Selects a block for the keys to turn and move.
+   * @param {number} i
+   */
   pick(i) {
     [this.selected, this.tool] = [i, null];
     this.draw();
-    this.canvas.focus({ preventScroll: true });
+    this.parts.canvas.focus({ preventScroll: true });
   }
 
+  /**
+   * Moves the grid to this height.
+   * @param {number} height cells
+   */
   lift(height) {
     this.height = height;
-    this.layerText.textContent = String(height);
-    this.layer.value = String(height);
+    this.parts.layerText.textContent = String(height);
+    this.parts.layer.value = String(height);
     this.desk.lift(height);
     this.desk.render();
   }
 
-  /** Returns the best position of the next block that fills `cell` and lies on the side toward `normal`, or `null`. */
+  /**
+   * Returns the best position of the next block that fills `cell` and lies on the side toward `normal`, or `null`.
+   * @param {Vector} cell
+   * @param {Vector} normal
+   * @returns {Spot | null}
+   */
   fitting(cell, normal) {
     const size = this.cells(this.tool, this.axes);
-    const filled = this.blocks.map(({ type, at, axes }) => [at, this.cells(type, axes)]);
-    const isFree = (at) => filled.every(([low, of]) => at.some((v, k) => v >= low[k] + of[k] || low[k] >= v + size[k]));
-    const isNear = (at) => at[2] >= 0 && at[2] + size[2] <= HIGH && [0, 1].every((k) => at[k] >= -WIDE && at[k] + size[k] <= WIDE);
+    const filled = this.blocks.map(({ type, at, axes }) => /** @type {const} */ ([at, this.cells(type, axes)]));
+    const isFree = (/** @type {Vector} */ at) => filled.every(([low, of]) => at.some((v, k) => v >= low[k] + of[k] || low[k] >= v + size[k]));
+    const isNear = (/** @type {Vector} */ at) => at[2] >= 0 && at[2] + size[2] <= HIGH && [0, 1].every((k) => at[k] >= -WIDE && at[k] + size[k] <= WIDE);
     const shifts = size.map((n, k) => (normal[k] !== 0 ? [normal[k] > 0 ? 0 : n - 1] : [...Array(n).keys()]));
-    const away = (shift) => shift.reduce((sum, s, k) => sum + (normal[k] !== 0 ? 0 : Math.abs(s - Math.floor((size[k] - 1) / 2))), 0);
+    const away = (/** @type {Vector} */ shift) => shift.reduce((sum, s, k) => sum + (normal[k] !== 0 ? 0 : Math.abs(s - Math.floor((size[k] - 1) / 2))), 0);
     const all = shifts[0].flatMap((x) => shifts[1].flatMap((y) => shifts[2].map((z) => [x, y, z])));
     const fitting = all.sort((a, b) => away(a) - away(b)).map((shift) => cell.map((v, k) => v - shift[k])).filter((at) => isNear(at) && isFree(at));
     return fitting.length > 0 ? { at: fitting[0], size, color: this.kinds.get(this.tool).color } : null;
   }
 
+  /** @param {Spot | null} spot */
   place(spot) {
     if (!spot) {
-      this.say.textContent = "There is no room for this block here.";
+      this.parts.say.textContent = "There is no room for this block here.";
       return;
     }
     this.change(() => {
@@ -272,12 +397,16 @@ class Editor {
     });
   }
 
-  /** Returns the block or cell under the pointer. */
+  /**
+   * Returns the block or cell under the pointer.
+   * @param {PointerEvent} event
+   */
   under(event) {
-    const box = this.canvas.getBoundingClientRect();
+    const box = this.parts.canvas.getBoundingClientRect();
     return this.desk.pick(event.clientX - box.left, event.clientY - box.top);
   }
 
+  /** @param {PointerEvent} event */
   release(event) {
     // A drag moved the view instead.
     if (!this.desk || !event.isPrimary || !this.pressed || Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 5) return;
@@ -291,6 +420,7 @@ class Editor {
     }
   }
 
+  /** @param {PointerEvent} event */
   hover(event) {
     if (!this.desk || !this.tool || event.pointerType !== "mouse" || event.buttons !== 0) return;
     const hit = this.under(event);
@@ -306,7 +436,10 @@ class Editor {
     this.place(this.fitting(top, [0, 0, 1]));
   }
 
-  /** Turns the selected block, or the next block to place. */
+  /**
+   * Turns the selected block, or the next block to place, by a quarter.
+   * @param {Vector} about
+   */
   rotate(about) {
     const block = this.blocks[this.selected];
     if (!block) {
@@ -318,7 +451,7 @@ class Editor {
       block.axes = quarter(block.axes, about);
       const after = this.cells(block.type, block.axes);
       // Keep the middle cell and the bottom of the block in place.
-      const middle = (size, k) => (k === 2 ? 0 : Math.floor((size[k] - 1) / 2));
+      const middle = (/** @type {Vector} */ size, /** @type {number} */ k) => (k === 2 ? 0 : Math.floor((size[k] - 1) / 2));
       block.at = block.at.map((v, k) => v + middle(before, k) - middle(after, k));
       // If the cells stay the same, the user is setting the poles: keep the server from turning any block.
       if (after.join() === before.join()) this.blocks.forEach((one) => { one.is_free = false; });
@@ -326,6 +459,10 @@ class Editor {
     });
   }
 
+  /**
+   * Moves the selected block.
+   * @param {Vector} by cells
+   */
   shift(by) {
     const block = this.blocks[this.selected];
     if (!block) return;
@@ -334,11 +471,16 @@ class Editor {
     this.change(() => { block.at = at; });
   }
 
+  /**
+   * Does what a tool of the board is for.
+   * @param {string} what
+   */
   act(what) {
     if (!this.desk) return;
     const right = this.desk.right();
     const back = cross3([0, 0, 1], right);
-    const minus = (v) => v.map((x) => -x);
+    const minus = (/** @type {Vector} */ v) => v.map((x) => -x);
+    /** @type {Record<string, Vector>} */
     const moves = { left: minus(right), right, back, front: minus(back), up: [0, 0, 1], down: [0, 0, -1] };
     if (moves[what]) this.shift(moves[what]);
     else if (what === "turn") this.rotate([0, 0, 1]);
@@ -358,8 +500,11 @@ class Editor {
     }
   }
 
+  /** @param {KeyboardEvent} event */
   key(event) {
+    /** @type {Record<string, string>} */
     const moves = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "back", ArrowDown: "front", PageUp: "up", PageDown: "down" };
+    /** @type {Record<string, [number, number]>} */
     const views = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
     const { key } = event;
     if (!this.desk || event.altKey) return;
@@ -380,26 +525,31 @@ class Editor {
     event.preventDefault();
   }
 
-  /** Replaces the drawing with the contents of a blueprint file. */
+  /**
+   * Replaces the drawing with the contents of a blueprint file.
+   * @param {string} text
+   */
   async load(text) {
+    /** @type {Response} */
     let answer;
     try {
       answer = await fetch("/api/check", { method: "POST", body: text });
     } catch {
-      this.say.textContent = NO_ANSWER;
+      this.parts.say.textContent = NO_ANSWER;
       return;
     }
     if (!answer.ok) {
-      this.say.textContent = `This file cannot be opened: ${(await answer.text()).trim()}`;
+      this.parts.say.textContent = `This file cannot be opened: ${(await answer.text()).trim()}`;
       // The problems of the drawing would look like those of the file. They come back with its next change.
-      this.problems.replaceChildren();
+      this.parts.problems.replaceChildren();
       this.told = null;
       return;
     }
+    /** @type {Findings} */
     const { title, blocks } = await answer.json();
     // Center the structure on the grid.
     const middle = [0, 1].map((k) => Math.floor(Math.max(...blocks.map((b) => b.at[k] + this.cells(b.type, b.axes)[k])) / 2));
-    this.name.value = title;
+    this.parts.name.value = title;
     this.change(() => {
       this.blocks = blocks.map((block) => ({ ...block, at: [block.at[0] - middle[0], block.at[1] - middle[1], block.at[2]] }));
       [this.selected, this.tool] = [null, null];
@@ -408,8 +558,8 @@ class Editor {
   }
 
   async upload() {
-    const [file] = this.file.files;
-    this.file.value = "";
+    const [file] = this.parts.file.files;
+    this.parts.file.value = "";
     if (file) await this.load(await file.text());
   }
 
@@ -419,7 +569,7 @@ class Editor {
       const answer = await fetch(`/api/blueprint?id=${encodeURIComponent(this.stage.chosen)}`);
       if (answer.ok) await this.load(await answer.text());
     } catch {
-      this.say.textContent = NO_ANSWER;
+      this.parts.say.textContent = NO_ANSWER;
     }
   }
 
@@ -431,9 +581,10 @@ class Editor {
     setTimeout(() => URL.revokeObjectURL(url), 10000);
   }
 
+  /** @param {Agent} agent */
   build(agent) {
     if (!this.found.toml) return;
-    this.stage.startDrawn(this.found.toml, this.name.value.trim() || "a drawing", agent);
+    this.stage.startDrawn(this.found.toml, this.parts.name.value.trim() || "a drawing", agent);
     $("replay-title").scrollIntoView();
   }
 }

@@ -1,11 +1,22 @@
 // Video clips of evaluations: the newest success and failure of every group.
 
+import { element } from "./format.js";
+import { answerAt, model } from "./model.js";
+
+/** @import { Film } from "./types" */
+
 let shownFilms = "";
 
-/** Returns the clip of a blueprint from the evaluation of these weights, if it exists. */
-async function filmOf(blueprint, version) {
+/**
+ * Returns the clip of a blueprint from the evaluation of these weights, if it exists.
+ * @param {string} blueprint
+ * @param {number} version
+ * @returns {Promise<Film | undefined>}
+ */
+export async function filmOf(blueprint, version) {
   try {
     const answer = await fetch(answerAt(model.base, "films"));
+    /** @type {Film[]} */
     const films = answer.ok ? (await answer.json()).films : [];
     return films.find((film) => film.blueprint === blueprint && film.weights_version === version);
   } catch {
@@ -13,8 +24,14 @@ async function filmOf(blueprint, version) {
   }
 }
 
-/** Fetches the list of clips and updates the page if it changed. */
-async function askFilms(list, note, open) {
+/**
+ * Fetches the list of clips and updates the page if it changed.
+ * @param {HTMLElement} list
+ * @param {HTMLElement} note
+ * @param {(film: Film) => void} open called when the user wants to turn and step a clip
+ */
+export async function askFilms(list, note, open) {
+  /** @type {Film[]} */
   let films;
   try {
     const answer = await fetch(answerAt(model.base, "films"));

@@ -1,7 +1,22 @@
 // The heat map: one row per blueprint, one column per evaluation.
 
+import { $, count, percent } from "./format.js";
+
+/** @import { Acting, Counts, History, Pass, Row } from "./types" */
+
+/**
+ * A row on the canvas, from `y` on, in pixels. `place` is its index in the counts of an evaluation.
+ * @typedef {Row & { place: number, y?: number }} Placed
+ */
+
+/** @typedef {{ row: number, column: number }} Cell */
+
 const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
+/**
+ * Returns the color of a rate from 0 to 1.
+ * @param {number} rate
+ */
 function heatColor(rate) {
   const place = Math.min(Math.max(rate, 0), 1) * (STOPS.length - 1);
   const low = Math.min(Math.floor(place), STOPS.length - 2);
@@ -9,15 +24,34 @@ function heatColor(rate) {
   return `rgb(${mix.join(",")})`;
 }
 
-class Heat {
-  constructor(canvas, cellText) {
+export class Heat {
+  /** @type {Cell | null} */
+  cursor = null;
+  words = "";
+  /** @type {Placed[]} */
+  all = [];
+  /**
+   * The rows that match the search text.
+   * @type {Placed[]}
+   */
+  rows = [];
+  /**
+   * The evaluations with these actions; `undefined` until there is a history.
+   * @type {Pass[]}
+   */
+  passes;
+  /** @type {Acting} */
+  acting = "greedy";
+
+  /**
+   * @param {HTMLCanvasElement} canvas
+   * @param {HTMLElement} cellText tells the cell under the pointer
+   * @param {(row: Row, pass: Pass) => void} opened called when the user opens a cell
+   */
+  constructor(canvas, cellText, opened) {
     this.canvas = canvas;
     this.cellText = cellText;
-    this.cursor = null;
-    this.words = "";
-    // Callback for opening a cell, called with its row and its evaluation.
-    this.opened = () => {};
-    this.rows = [];
+    this.opened = opened;
     canvas.addEventListener("pointermove", (event) => this.point(event));
     canvas.addEventListener("pointerdown", (event) => this.point(event));
     canvas.addEventListener("pointerleave", () => this.move(null));
@@ -25,7 +59,7 @@ class Heat {
     canvas.addEventListener("click", () => this.open());
     new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-    const scale = document.getElementById("heat-scale");
+    const scale = $("heat-scale");
     [scale.width, scale.height] = [60, 1];
     const pen = scale.getContext("2d");
     for (let x = 0; x < 60; x += 1) {
@@ -34,6 +68,10 @@ class Heat {
     }
   }
 
+  /**
+   * @param {History} history
+   * @param {Acting} acting
+   */
   show(history, acting) {
     this.passes = history.passes.filter((pass) => pass[acting].some((cell) => cell !== null));
     this.acting = acting;
@@ -42,11 +80,14 @@ class Heat {
     this.find(this.words);
   }
 
-  /** Shows only rows that match the search text. */
+  /**
+   * Shows only rows that match the search text.
+   * @param {string} words
+   */
   find(words) {
     this.words = words.trim().toLowerCase();
-    const text = (row) => `${row.id} ${row.split} ${row.group} ${row.n_blocks} blocks`.toLowerCase();
-    this.rows = (this.all || []).filter((row) => text(row).includes(this.words));
+    const text = (/** @type {Placed} */ row) => `${row.id} ${row.split} ${row.group} ${row.n_blocks} blocks`.toLowerCase();
+    this.rows = this.all.filter((row) => text(row).includes(this.words));
     if (this.cursor && !this.rows[this.cursor.row]) this.cursor = null;
     this.draw();
   }
@@ -55,13 +96,19 @@ class Heat {
     if (this.cursor) this.opened(this.rows[this.cursor.row], this.passes[this.cursor.column]);
   }
 
+  /**
+   * Places the rows on a canvas of this width, in pixels.
+   * @param {number} width
+   */
   layout(width) {
     const n = Math.max(this.rows.length, 1);
     const height = Math.max(Math.min(420 / n, 26), 4);
     const names = height >= 12;
     const left = names ? 132 : 88;
     let y = 4;
+    /** @type {string | null} */
     let group = null;
+    /** @type {{ name: string, y: number, end?: number }[]} */
     const groups = [];
     for (const row of this.rows) {
       if (row.group !== group) {
@@ -92,7 +139,7 @@ class Heat {
     const pen = this.canvas.getContext("2d");
     pen.scale(ratio, ratio);
     const style = getComputedStyle(document.documentElement);
-    const color = (name) => style.getPropertyValue(name);
+    const color = (/** @type {string} */ name) => style.getPropertyValue(name);
     pen.font = "12px system-ui, sans-serif";
     pen.fillStyle = color("--quiet");
     if (this.passes.length === 0) {
@@ -141,6 +188,7 @@ class Heat {
     }
   }
 
+  /** @param {PointerEvent} event */
   point(event) {
     if (!this.at || this.rows.length === 0) return;
     const column = Math.floor((event.offsetX - this.at.left) / this.at.column);
@@ -148,7 +196,9 @@ class Heat {
     this.move(row >= 0 && column >= 0 && column < this.passes.length ? { row, column } : null);
   }
 
+  /** @param {KeyboardEvent} event */
   key(event) {
+    /** @type {Record<string, [number, number]>} */
     const steps = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
     const step = steps[event.key];
     if (event.key === "Escape") this.move(null);
@@ -156,11 +206,12 @@ class Heat {
     if (!step || this.rows.length === 0 || !this.passes || this.passes.length === 0) return;
     event.preventDefault();
     const from = this.cursor || { row: 0, column: this.passes.length - 1 };
-    const clamp = (value, n) => Math.min(Math.max(value, 0), n - 1);
+    const clamp = (/** @type {number} */ value, /** @type {number} */ n) => Math.min(Math.max(value, 0), n - 1);
     const move = this.cursor ? step : [0, 0];
     this.move({ row: clamp(from.row + move[0], this.rows.length), column: clamp(from.column + move[1], this.passes.length) });
   }
 
+  /** @param {Cell | null} cursor */
   move(cursor) {
     this.cursor = cursor;
     this.draw();

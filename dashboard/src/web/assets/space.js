@@ -7,6 +7,14 @@ import {
   PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Vector3, WebGLRenderer,
 } from "./three.js";
 
+/** @import { Material, Object3D } from "./three.js" */
+/** @import { Episode, Pose, Rgb, Vector } from "./types" */
+
+/**
+ * A block, with its frame in `userData`.
+ * @typedef {Mesh<BoxGeometry, MeshLambertMaterial>} BlockMesh
+ */
+
 /** Colors of negative and positive magnets, as in the video clips. */
 const MAGNETS = [[32, 82, 196], [208, 40, 46]];
 
@@ -20,12 +28,18 @@ const MIN_DISTANCE_M = 0.9;
 
 const BACK_SIDE = 1;
 
+/** @param {Rgb} color */
 export const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
 
-/** Creates a disc per unit cell face, marked with its sign because not everyone can tell red from blue. */
+/**
+ * Creates a disc per unit cell face, marked with its sign because not everyone can tell red from blue.
+ * @param {Vector} half half the block's size, meters
+ * @param {number} unit edge of a cell, meters
+ */
 function magnets(half, unit) {
+  /** @type {number[][]} */
   const [places, normals, colors] = [[], [], []];
-  const corner = (at, out, color) => {
+  const corner = (/** @type {Vector} */ at, /** @type {Vector} */ out, /** @type {Color} */ color) => {
     places.push(...at);
     normals.push(...out);
     colors.push(color.r, color.g, color.b);
@@ -40,12 +54,14 @@ function magnets(half, unit) {
       const color = rgb(MAGNETS[side > 0 ? 1 : 0]);
       for (let cell = 0; cell < cells[0] * cells[1]; cell += 1) {
         const middle = [((cell % cells[0]) + 0.5) * unit - half[u], (Math.floor(cell / cells[0]) + 0.5) * unit - half[v]];
+        /** @type {(a: number, b: number, lift: number) => Vector} */
         const at = (a, b, lift) => {
           const point = [0, 0, 0];
           [point[axis], point[u], point[v]] = [side * (half[axis] + lift), middle[0] + a * unit, middle[1] + b * unit];
           return point;
         };
         // Counterclockwise from outside.
+        /** @type {(points: number[][], lift: number, paint: Color) => void} */
         const triangle = (points, lift, paint) =>
           (side > 0 ? points : [...points].reverse()).forEach(([a, b]) => corner(at(a, b, lift), out, paint));
         const n = 20;
@@ -53,7 +69,7 @@ function magnets(half, unit) {
           const [from, to] = [i, i + 1].map((k) => [0.2 * Math.cos((2 * Math.PI * k) / n), 0.2 * Math.sin((2 * Math.PI * k) / n)]);
           triangle([[0, 0], from, to], 0.0006, color);
         }
-        const bar = (w, h) => {
+        const bar = (/** @type {number} */ w, /** @type {number} */ h) => {
           triangle([[-w, -h], [w, -h], [w, h]], 0.0012, white);
           triangle([[-w, -h], [w, h], [-w, h]], 0.0012, white);
         };
@@ -63,31 +79,50 @@ function magnets(half, unit) {
     }
   }
   const geometry = new BufferGeometry();
-  for (const [name, values] of [["position", places], ["normal", normals], ["color", colors]]) {
+  for (const [name, values] of Object.entries({ position: places, normal: normals, color: colors })) {
     geometry.setAttribute(name, new BufferAttribute(new Float32Array(values), 3));
   }
   return geometry;
 }
 
-/** Creates a block with magnets, edges, and a frame that is hidden until a gripper holds the block. */
+/**
+ * Creates a box that is larger by `margin` on every side, meters.
+ * @param {Vector} half half its size without that, meters
+ * @param {number} margin
+ */
+function boxOf(half, margin) {
+  const [x, y, z] = half.map((length) => 2 * (length + margin));
+  return new BoxGeometry(x, y, z);
+}
+
+/**
+ * Creates a block with magnets, edges, and a frame that is hidden until a gripper holds the block.
+ * @param {Vector} half half its size, meters
+ * @param {Rgb} color
+ * @param {number} unit edge of a cell, meters
+ * @returns {BlockMesh}
+ */
 export function blockMesh(half, color, unit) {
-  const size = half.map((x) => 2 * x);
-  const box = new BoxGeometry(...size);
+  const box = boxOf(half, 0);
   const mesh = new Mesh(box, new MeshLambertMaterial({ color: rgb(color) }));
   mesh.castShadow = mesh.receiveShadow = true;
   const discs = new Mesh(magnets(half, unit), new MeshLambertMaterial({ vertexColors: true }));
   discs.receiveShadow = true;
   const edges = new LineSegments(new EdgesGeometry(box), new LineBasicMaterial({ color: 0x20262c, transparent: true, opacity: 0.55 }));
-  const frame = new Mesh(new BoxGeometry(...size.map((x) => x + 2 * FRAME_M)), new MeshBasicMaterial({ side: BACK_SIDE }));
+  const frame = new Mesh(boxOf(half, FRAME_M), new MeshBasicMaterial({ side: BACK_SIDE }));
   frame.visible = false;
   mesh.add(discs, edges, frame);
   mesh.userData.frame = frame;
   return mesh;
 }
 
-/** Creates a translucent block that marks a target position. */
+/**
+ * Creates a translucent block that marks a target position.
+ * @param {Vector} half half its size, meters
+ * @param {Rgb} color
+ */
 export function ghostMesh(half, color) {
-  const box = new BoxGeometry(...half.map((x) => 2 * x));
+  const box = boxOf(half, 0);
   const paint = rgb(color);
   const mesh = new Mesh(box, new MeshBasicMaterial({ color: paint, transparent: true, opacity: 0.2, depthWrite: false }));
   mesh.add(new LineSegments(new EdgesGeometry(box), new LineBasicMaterial({ color: paint, transparent: true, opacity: 0.9 })));
@@ -95,22 +130,36 @@ export function ghostMesh(half, color) {
   return mesh;
 }
 
+/**
+ * Moves an object to a pose.
+ * @param {Object3D} mesh
+ * @param {Pose} pose
+ */
 export function put(mesh, pose) {
   mesh.position.set(pose[0], pose[1], pose[2]);
   mesh.quaternion.set(pose[3], pose[4], pose[5], pose[6]);
 }
 
+/**
+ * Removes objects from a scene, and what the graphics card holds of them.
+ * @param {Scene} scene
+ * @param {Object3D[]} meshes
+ */
 export function dispose(scene, meshes) {
   for (const mesh of meshes) {
     scene.remove(mesh);
     mesh.traverse((part) => {
-      part.geometry.dispose();
-      part.material.dispose();
+      const { geometry, material } = /** @type {Mesh<BufferGeometry, Material>} */ (part);
+      geometry.dispose();
+      material.dispose();
     });
   }
 }
 
-/** Lights the scene from above and one side, so that edges and heights are visible. Returns the directional light. */
+/**
+ * Lights the scene from above and one side, so that edges and heights are visible. Returns the directional light.
+ * @param {Scene} scene
+ */
 export function lit(scene) {
   scene.add(new HemisphereLight(0xffffff, 0xb9c0c8, 1.5), new AmbientLight(0xffffff, 0.35));
   const sun = new DirectionalLight(0xffffff, 2.1);
@@ -119,7 +168,43 @@ export function lit(scene) {
 }
 
 export class Space {
-  /** Calls `moved` when the user moves the camera. Throws if WebGL is unavailable. */
+  scene = new Scene();
+  /** The goal, in a corner of the picture. */
+  corner = new Scene();
+  camera = new PerspectiveCamera(VIEW, 1, 0.02, 60);
+  /** That of the corner. */
+  small = new PerspectiveCamera(VIEW, 1, 0.02, 60);
+  /** @type {BlockMesh[]} */
+  blocks = [];
+  /** @type {Mesh[]} */
+  ghosts = [];
+  /**
+   * The blocks in the corner.
+   * @type {Mesh[]}
+   */
+  goal = [];
+  /** The middle of the goal in the corner, and the distance of its farthest point, meters. */
+  middle = new Vector3();
+  reach = 0;
+  /** @type {Color[]} */
+  colors = [];
+  /** @type {Color[]} */
+  grippers = [];
+  /**
+   * Width and height of the canvas on the page, pixels.
+   * @type {[number, number]}
+   */
+  size;
+  /** @type {GridHelper} */
+  grid;
+  /** Whether a render follows anyway. */
+  still = false;
+
+  /**
+   * Throws if WebGL is unavailable.
+   * @param {HTMLCanvasElement} canvas
+   * @param {() => void} moved called when the user moves the camera
+   */
   constructor(canvas, moved) {
     this.canvas = canvas;
     // Preserve the buffer so that the image can be read at any time.
@@ -127,7 +212,6 @@ export class Space {
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.renderer.autoClear = false;
-    [this.scene, this.corner] = [new Scene(), new Scene()];
     this.sun = lit(this.scene);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
@@ -137,7 +221,6 @@ export class Space {
     this.shade = new Mesh(new PlaneGeometry(40, 40), new ShadowMaterial({ opacity: 0.28 }));
     this.shade.receiveShadow = true;
     this.scene.add(this.shade);
-    [this.camera, this.small] = [new PerspectiveCamera(VIEW, 1, 0.02, 60), new PerspectiveCamera(VIEW, 1, 0.02, 60)];
     this.camera.up.set(0, 0, 1);
     this.small.up.set(0, 0, 1);
     this.camera.position.set(1.2, -1.8, 1.4);
@@ -147,14 +230,13 @@ export class Space {
     // Skip this during `settle`: a render follows anyway, and each one draws all blocks and shadows.
     this.controls.addEventListener("change", () => { if (!this.still) this.render(); });
     this.controls.addEventListener("start", moved);
-    [this.blocks, this.ghosts, this.goal] = [[], [], []];
     this.theme();
   }
 
   /** Applies the page's current colors, light or dark. */
   theme() {
     const style = getComputedStyle(document.documentElement);
-    const color = (name) => new Color(style.getPropertyValue(name).trim());
+    const color = (/** @type {string} */ name) => new Color(style.getPropertyValue(name).trim());
     this.scene.background = color("--ground");
     if (this.grid) dispose(this.scene, [this.grid]);
     this.grid = new GridHelper(12, 24, color("--line"), color("--line"));
@@ -164,7 +246,10 @@ export class Space {
     this.backing = color("--card");
   }
 
-  /** Creates the blocks of an episode. */
+  /**
+   * Creates the blocks of an episode.
+   * @param {Episode} episode
+   */
   load(episode) {
     dispose(this.scene, [...this.blocks, ...this.ghosts]);
     dispose(this.corner, this.goal);
@@ -187,8 +272,11 @@ export class Space {
   }
 
   /**
-   * Moves every block to its pose. `held` lists the block in each gripper, `shades` are optional replacement colors,
-   * and `ghosts` are the target poses of the goal's blocks, with `null` for blocks already in place.
+   * Moves every block to its pose.
+   * @param {Pose[]} poses
+   * @param {(number | null)[]} held the block in each gripper
+   * @param {Rgb[] | null} shades the blocks' colors instead of their own
+   * @param {(Pose | null)[]} ghosts where the goal's blocks belong; `null` for blocks already in place
    */
   show(poses, held, shades, ghosts) {
     this.blocks.forEach((mesh, block) => {
@@ -205,9 +293,13 @@ export class Space {
     this.render();
   }
 
-  /** Moves the camera as close as possible with the whole box in view, keeping its direction. Does not render. */
+  /**
+   * Moves the camera as close as possible with the whole box in view, keeping its direction. Does not render.
+   * @param {Vector} low the lowest corner, meters
+   * @param {Vector} high the highest corner
+   */
   fit(low, high) {
-    const middle = new Vector3(...low).add(new Vector3(...high)).multiplyScalar(0.5);
+    const middle = new Vector3().fromArray(low).add(new Vector3().fromArray(high)).multiplyScalar(0.5);
     const back = this.camera.position.clone().sub(this.controls.target);
     if (back.lengthSq() === 0) back.set(1, -1.4, 1);
     back.normalize();
@@ -218,10 +310,10 @@ export class Space {
     const up = back.clone().cross(right);
     const rise = Math.tan((VIEW * Math.PI) / 360) / MARGIN;
     const corners = [0, 1, 2, 3, 4, 5, 6, 7].map((k) =>
-      new Vector3(...[0, 1, 2].map((i) => ((k >> i) & 1 ? high : low)[i])).sub(middle));
+      new Vector3().fromArray([0, 1, 2].map((i) => ((k >> i) & 1 ? high : low)[i])).sub(middle));
     // Nearer corners look larger, so the image center is not the center of the box. Each pair of opposite image edges
     // touches a corner, or would if the other pair did not require more distance.
-    const between = (axis, slope) => {
+    const between = (/** @type {Vector3} */ axis, /** @type {number} */ slope) => {
       const [above, below] = [1, -1].map((side) => Math.max(...corners.map((corner) => side * corner.dot(axis) + slope * corner.dot(back))));
       return { shift: (above - below) / 2, distance: (above + below) / (2 * slope) };
     };
@@ -238,7 +330,11 @@ export class Space {
     this.still = false;
   }
 
-  /** Turns the camera around its target and tilts it, radians. */
+  /**
+   * Turns the camera around its target and tilts it, radians.
+   * @param {number} around
+   * @param {number} up
+   */
   turn(around, up) {
     const from = this.camera.position.clone().sub(this.controls.target);
     const flat = Math.hypot(from.x, from.y);
@@ -251,7 +347,10 @@ export class Space {
     this.render();
   }
 
-  /** Moves the camera closer by a factor. */
+  /**
+   * Moves the camera closer by a factor.
+   * @param {number} factor
+   */
   near(factor) {
     const from = this.camera.position.clone().sub(this.controls.target);
     const length = Math.min(Math.max(from.length() / factor, this.controls.minDistance), this.controls.maxDistance);
@@ -260,7 +359,11 @@ export class Space {
     this.render();
   }
 
-  /** Matches the drawing buffer to the canvas size on the page. Takes effect at the next render. */
+  /**
+   * Matches the drawing buffer to the canvas size on the page, in pixels. Takes effect at the next render.
+   * @param {number} width
+   * @param {number} height
+   */
   resize(width, height) {
     if (width === 0 || height === 0) return;
     this.size = [width, height];

@@ -1,5 +1,11 @@
 // The reward terms of an episode, each as the cumulative sum from the first step on.
 
+import { DASHES } from "./curves.js";
+import { decimal, element, svg } from "./format.js";
+
+/** @import { Episode, Scene } from "./types" */
+
+/** @type {[string, (scene: Scene) => number][]} */
 const TERMS = [
   ["all", (scene) => scene.reward],
   ["connected", (scene) => scene.reward_terms.connected],
@@ -9,10 +15,24 @@ const TERMS = [
   ["heavy contacts", (scene) => scene.reward_terms.force],
 ];
 
-class Terms {
-  /** Calls `go` with the step that the user clicks. */
+export class Terms {
+  time = 0;
+  /** @type {Scene[]} */
+  scenes;
+  /**
+   * Marks the time in the chart.
+   * @type {SVGLineElement}
+   */
+  now;
+
+  /**
+   * @param {HTMLElement} place
+   * @param {HTMLElement} legend
+   * @param {(step: number) => void} go called with the step that the user clicks
+   */
   constructor(place, legend, go) {
-    [this.place, this.go, this.time] = [place, go, 0];
+    this.place = place;
+    this.go = go;
     this.values = TERMS.map(([title], i) => {
       const value = element("dd", {}, "–");
       const line = svg("line", { class: `curve g${i}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": DASHES[i] });
@@ -21,12 +41,13 @@ class Terms {
     });
   }
 
+  /** @param {Episode} episode */
   show(episode) {
     this.scenes = episode.scenes;
     const last = this.scenes.length - 1;
     const all = this.scenes.flatMap((scene) => TERMS.map(([, value]) => value(scene)));
     const [low, high] = [Math.min(...all, 0), Math.max(...all, 0)];
-    const y = (value) => (high > low ? 2 + (1 - (value - low) / (high - low)) * 96 : 50);
+    const y = (/** @type {number} */ value) => (high > low ? 2 + (1 - (value - low) / (high - low)) * 96 : 50);
     const said = TERMS.map(([title, value]) => `${title} ${decimal(value(this.scenes[last]))}`).join(", ");
     const label = `Reward by term over ${last} steps; at the end: ${said}`;
     // Stretched to the available width; lines keep their thickness.
@@ -38,7 +59,7 @@ class Terms {
     });
     this.now = svg("line", { class: "now", y1: 0, y2: 100 });
     drawing.append(this.now);
-    const stepAt = (event) => Math.min(Math.max(Math.round((event.offsetX / (drawing.clientWidth || 1)) * last), 0), last);
+    const stepAt = (/** @type {MouseEvent} */ event) => Math.min(Math.max(Math.round((event.offsetX / (drawing.clientWidth || 1)) * last), 0), last);
     drawing.addEventListener("pointermove", (event) => this.tell(stepAt(event)));
     drawing.addEventListener("pointerleave", () => this.tell(this.time));
     drawing.addEventListener("click", (event) => this.go(stepAt(event)));
@@ -46,15 +67,19 @@ class Terms {
     this.place.replaceChildren(drawing, element("small", { class: "quiet" }, range));
   }
 
+  /** @param {number} time in scenes */
   seek(time) {
     this.time = time;
     this.tell(time);
   }
 
-  /** Marks a time and shows the values at it. */
+  /**
+   * Marks a time and shows the values at it.
+   * @param {number} time in scenes
+   */
   tell(time) {
-    this.now.setAttribute("x1", time);
-    this.now.setAttribute("x2", time);
+    this.now.setAttribute("x1", String(time));
+    this.now.setAttribute("x2", String(time));
     const scene = this.scenes[Math.floor(time)];
     TERMS.forEach(([, value], i) => { this.values[i].textContent = value(scene).toFixed(2); });
   }

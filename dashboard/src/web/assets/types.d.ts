@@ -1,0 +1,289 @@
+// Shapes of what the server answers, and of the page's elements, for the type checker only.
+
+/** Numbers along x, y and z. */
+export type Vector = number[];
+
+/** Position in meters along x, y and z, then a unit quaternion x, y, z, w. */
+export type Pose = number[];
+
+/** Lowest and highest corner, meters. */
+export type Box = Vector[];
+
+/** Red, green and blue, 0 to 255. */
+export type Rgb = number[];
+
+/** How actions are chosen from the policy's distribution. */
+export type Acting = "greedy" | "sampled";
+
+/** Who builds. */
+export type Agent = "policy" | "expert";
+
+/** A success rate, 0 to 1, with its 95 % interval. */
+export interface Rate {
+  n_successes: number;
+  n_episodes: number;
+  rate: number;
+  wilson_low: number;
+  wilson_high: number;
+}
+
+/** Results of a group of blueprints; `null` where not evaluated. */
+export interface Group {
+  name: string;
+  n_blueprints: number;
+  greedy: Rate | null;
+  sampled: Rate | null;
+}
+
+/** Number of successes and of episodes. */
+export type Counts = [number, number];
+
+/** An evaluation. Its counts are in the order of the history's blueprints. */
+export interface Pass {
+  weights_version: number;
+  /** Environment steps that the learner had consumed. */
+  n_env_steps: number;
+  elapsed_s: number;
+  groups: Group[];
+  all: Group;
+  greedy: (Counts | null)[];
+  sampled: (Counts | null)[];
+}
+
+/** A row of the heat map. */
+export interface Row {
+  id: string;
+  split: string;
+  n_blocks: number;
+  group: string | null;
+}
+
+/** The charted values of one learner update, by their names. */
+export interface Point {
+  n_env_steps: number;
+  elapsed_s: number;
+  weights_version: number;
+  [metric: string]: number;
+}
+
+/** `/api/history` */
+export interface History {
+  blueprints: Row[];
+  passes: Pass[];
+  n_left_out: number;
+  learner: Point[];
+}
+
+/** Totals by what happened. */
+export type Totals = Record<string, number>;
+
+/** What the mixture head drew of one kind of proposal, each from 0 to 1. */
+export interface Draws {
+  share?: number;
+  success?: number;
+}
+
+/** The metrics of the learner. */
+export interface Learner {
+  weights_version: number;
+  n_env_steps: number;
+  elapsed_s: number;
+  /** Longer than `elapsed_s` if the run was resumed. */
+  run_elapsed_s?: number;
+  env_steps_per_s: number;
+  policy_lag_mean: number;
+  ppo: Record<string, number>;
+  proposals?: Record<string, any> & { kinds?: Record<string, Draws> };
+  ingest?: Totals;
+  bus?: Totals;
+  expired_total: number;
+  unmade_total: number;
+  refused_total: number;
+  not_saved?: { since_unix_ms: number; reason: string };
+}
+
+/** The metrics of an actor. */
+export interface Actor {
+  weights_version: number;
+  env_steps_per_s: number;
+  /** Versions between the newest weights and those that act. */
+  policy_lag: number;
+  dropped: Totals;
+  bus: Totals;
+}
+
+/** The metrics of an evaluation so far. */
+export interface Summary {
+  weights_version: number;
+  is_complete: boolean;
+  /** Episodes of the whole evaluation per action mode. */
+  n_planned: number;
+  all: Record<Acting, { success: Rate }>;
+  bus?: Totals;
+  films?: Totals;
+}
+
+/** The names of the processes that are alive. */
+export interface Roster {
+  actors: string[];
+  learners: string[];
+  evaluators: string[];
+}
+
+/** `/api/about`; `recorded` is only in a static copy. */
+export interface About {
+  kind: "training" | "play" | "finished";
+  run: string;
+  preset: string | null;
+  /** Environment steps after which the run ends. */
+  n_env_steps: number | null;
+  blueprints: string[];
+  first: string;
+  can_play: boolean;
+  gripper_colors: Rgb[];
+  runs: { name: string; base: string }[];
+  farewell: { ended: string; command: string | null } | null;
+  recorded?: string[];
+}
+
+/** An entry of `/api/films`. */
+export interface Film {
+  id: string;
+  blueprint: string;
+  weights_version: number;
+  ending: string;
+}
+
+/** An entry of `/api/blueprints`. */
+export interface Blueprint {
+  id: string;
+  title: string;
+  n_blocks: number;
+  group: string | null;
+}
+
+/** The attention on each block, in percent, by source and scene. */
+export interface Attended {
+  weights_version: number;
+  sources: string[];
+  percent: number[][][];
+}
+
+/** A moment of an episode. */
+export interface Scene {
+  blocks: Pose[];
+  /** The block in each gripper. */
+  held: (number | null)[];
+  goal_frame: Pose;
+  n_connected: number;
+  /** Undiscounted reward so far. */
+  reward: number;
+  reward_terms: Record<"connected" | "wrong" | "magnets" | "blocks" | "force", number>;
+}
+
+/** `/api/replay`, `/api/play` and `/api/recording` */
+export interface Episode {
+  actor: string;
+  weights_version: number;
+  blueprint: string;
+  title: string;
+  end: string;
+  /** Seconds between two scenes. */
+  step_s: number;
+  /** Edge of a cell, meters. */
+  unit_m: number;
+  half_extents_m: Vector[];
+  colors: Rgb[];
+  gripper_colors: Rgb[];
+  /** The goal's blocks, each with its pose in the goal's frame. */
+  goal: [number, Pose][];
+  scenes: Scene[];
+  attention: Attended | null;
+}
+
+/** A type of block, from `/api/inventory`. */
+export interface Kind {
+  type: string;
+  word: string;
+  /** Length along its own axes, cells. */
+  cells: Vector;
+  count: number;
+  color: Rgb;
+}
+
+/** A block of a drawing. */
+export interface Block {
+  type: string;
+  /** The lowest-numbered corner cell that it fills. */
+  at: Vector;
+  /** The directions of its own x and y axes, such as `+x +y`. */
+  axes: string;
+  /** Whether the server may turn it. */
+  is_free: boolean;
+}
+
+/** `/api/check` */
+export interface Findings {
+  title?: string;
+  blocks?: Block[];
+  problems: { check: string; blocks: number[]; text: string }[];
+  connections: { a: number; b: number; n_magnet_pairs: number }[];
+  /** The blueprint file, if the drawing can be built. */
+  toml: string | null;
+}
+
+/** A place for a block: its lowest corner and its size in cells. */
+export interface Spot {
+  at: Vector;
+  size: Vector;
+  color: Rgb;
+}
+
+/** A block as drawn on the grid. */
+export interface Drawn extends Spot {
+  type: string;
+  /** Length along its own axes, cells. */
+  cells: Vector;
+  pose: Pose;
+}
+
+/** What is under the pointer: `cell` is the empty cell beside it, toward `normal`; `block` is `null` on the grid. */
+export interface Hit {
+  /** Distance along the ray. */
+  t: number;
+  block: number | null;
+  cell: Vector;
+  normal: Vector;
+}
+
+/** The ids in page.html of elements with more properties than others. */
+interface Elements {
+  "draw-canvas": HTMLCanvasElement;
+  "draw-copy": HTMLButtonElement;
+  "draw-expert": HTMLButtonElement;
+  "draw-file": HTMLInputElement;
+  "draw-layer": HTMLInputElement;
+  "draw-match": HTMLButtonElement;
+  "draw-name": HTMLInputElement;
+  "draw-policy": HTMLButtonElement;
+  "draw-save": HTMLButtonElement;
+  "drops": HTMLTableElement;
+  "gallery": HTMLDialogElement;
+  "groups": HTMLTableElement;
+  "heat": HTMLCanvasElement;
+  "heat-find": HTMLInputElement;
+  "heat-scale": HTMLCanvasElement;
+  "replay": HTMLCanvasElement;
+  "replay-ask": HTMLButtonElement;
+  "replay-eye": HTMLSelectElement;
+  "replay-ghost": HTMLInputElement;
+  "replay-more": HTMLDetailsElement;
+  "replay-slider": HTMLInputElement;
+  "replay-speed": HTMLSelectElement;
+  "roster": HTMLTableElement;
+  "stage-keep": HTMLInputElement;
+  "stage-onward": HTMLInputElement;
+}
+
+/** The element with this id. */
+export type ById<Id extends string> = Id extends keyof Elements ? Elements[Id] : HTMLElement;
