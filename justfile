@@ -40,6 +40,10 @@ advisories:
 lint:
     .ci/run lint
 
+# Check the page's scripts: their lint and their types.
+page:
+    .ci/run page
+
 # Build the docs and fail on warnings.
 doc:
     .ci/run doc
