@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::access;
-use super::gate::Gate;
 use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_encrypted, is_endpoint, is_reachable};
 use proto::codec::MAX_WEIGHTS_BYTES;
 use proto::setting::Section;
@@ -155,14 +154,14 @@ impl BusConfig {
     }
 
     /// Converts to zenoh's configuration, for a session in which all keys have the prefix `namespace` and whose public
-    /// endpoints are those of `gate`.
+    /// endpoints to listen on and to connect to are `instead`, if given.
     pub(super) fn to_zenoh(
         &self,
         namespace: &str,
         keys: Option<&Keys>,
-        gate: Option<&Gate>,
+        instead: Option<[&[String]; 2]>,
     ) -> Result<zenoh::Config, zenoh::Error> {
-        let (listen, connect) = gate.map_or((&self.listen, &self.connect), |gate| (&gate.listen, &gate.connect));
+        let [listen, connect] = instead.unwrap_or([&self.listen, &self.connect]);
         let retry = json!({ "period_init_ms": 500, "period_max_ms": 8000, "period_increase_factor": 2 });
         let mut config = json!({
             "mode": match self.mode { BusMode::Router => "router", BusMode::Client => "client" },

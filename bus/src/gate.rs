@@ -45,9 +45,8 @@ const MAX_SOCKET_PATH: usize = 107;
 /// The gate of a session with keys.
 #[derive(Debug)]
 pub(super) struct Gate {
-    /// What zenoh listens on and connects to instead of the public endpoints.
-    pub(super) listen: Vec<String>,
-    pub(super) connect: Vec<String>,
+    listen: Vec<String>,
+    connect: Vec<String>,
     hall: Arc<Hall>,
     /// Bound, and not yet admitting.
     listeners: Mutex<Vec<Listener>>,
@@ -60,6 +59,11 @@ pub(super) struct Gate {
 }
 
 impl Gate {
+    /// Returns what zenoh listens on and connects to instead of the public endpoints.
+    pub(super) fn endpoints(&self) -> [&[String]; 2] {
+        [&self.listen, &self.connect]
+    }
+
     /// Binds the public endpoints of `config`, and opens tunnels to the endpoints that it connects to over TCP.
     /// Returns `None` if zenoh can do everything itself.
     ///

@@ -54,7 +54,7 @@ impl Bus {
             None => None,
         };
         let zenoh_config = config
-            .to_zenoh(namespace, credentials.as_ref(), gate.as_deref())
+            .to_zenoh(namespace, credentials.as_ref(), gate.as_deref().map(Gate::endpoints))
             .map_err(BusError::during("configuring the bus"))?;
         let joining = || match &config.listen[..] {
             [] => format!("joining the bus at {}", config.connect.join(" and ")),

@@ -6,14 +6,11 @@ use proto::{ActionMode, Agent, Start};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::ResetFreeConfig;
+use crate::config::{MIN_BLOCKS, ResetFreeConfig};
 use crate::pool::EvaluationPool;
 use crate::report::{End, EpisodeResult, outcome};
 use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use crate::setup::EvalError;
-
-/// Minimum number of blocks of a goal (paper).
-pub(crate) const MIN_BLOCKS: usize = 12;
 
 /// Evaluates the agent of a pool on runs over several goals. A run begins scattered, and each goal begins where the
 /// last one ended, by success or at the time limit. Goals are training blueprints of at least [`MIN_BLOCKS`] blocks,

@@ -1,6 +1,7 @@
 //! The setup of an evaluation, and its errors.
 
 use std::convert::Infallible;
+use std::sync::Arc;
 
 use blueprints::Catalog;
 use environment::{EnvironmentConfig, StartError};
@@ -8,8 +9,7 @@ use policy::{PolicyConfig, PolicyError};
 use proto::InvalidSetting;
 use runlog::RunPaths;
 
-use crate::config::{EpisodeConfig, EvaluatorConfig, ResetFreeConfig};
-use crate::reset_free::MIN_BLOCKS;
+use crate::config::{EpisodeConfig, EvaluatorConfig, MIN_BLOCKS, ResetFreeConfig};
 
 /// Worlds per thread, unless the agent gains nothing from several.
 pub const N_WORLDS: usize = 20;
@@ -73,5 +73,5 @@ pub struct EvaluatorSetup {
     /// The run's folder for the reports; `None` keeps no records.
     pub records: Option<RunPaths>,
     /// The catalog of goals and starts.
-    pub catalog: &'static Catalog,
+    pub catalog: Arc<Catalog>,
 }
