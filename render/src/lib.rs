@@ -1,13 +1,10 @@
-//! Rendering: functions from scenes, recordings, and histories to SVG, PNG, GIF, and MP4. No I/O, no clock.
+//! Rendering: functions from scenes and recordings to PNG, GIF, and MP4. No I/O, no clock.
 //!
-//! Reading order: [`picture`] (blocks in a world) → [`video`] (episodes, and a policy's attention in them) → [`plot`]
-//! (training runs).
+//! Reading order: [`picture`] (blocks in a world) → [`video`] (episodes, and a policy's attention in them).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
-#![cfg_attr(not(feature = "films"), allow(dead_code, unused_imports))]
+#![cfg_attr(not(feature = "videos"), allow(dead_code, unused_imports))]
 
 pub mod picture;
-#[cfg(feature = "films")]
-pub mod plot;
-#[cfg(feature = "films")]
+#[cfg(feature = "videos")]
 pub mod video;

@@ -30,4 +30,3 @@ pub use texture::{NEGATIVE_COLOR, POSITIVE_COLOR};
 
 pub(crate) use camera::Window;
 pub(crate) use image::mix;
-pub(crate) use text::{Type, write};

@@ -1,14 +1,14 @@
-//! Films of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
+//! Videos of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
 //!
 //! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode seen through
-//! a camera that follows the construction) → `film` (frames with the goal and the score next to the world) → `mp4` and
+//! a camera that follows the construction) → `video` (frames with the goal and the score next to the world) → `mp4` and
 //! `gif` (frames → bytes) → `miniature` (a small GIF of bounded size) → `strip` (an episode as one picture) →
 //! `attention` and `heads` (a policy's attention in an episode).
 
 mod attention;
 mod collect;
 mod episode;
-mod film;
+mod frames;
 mod gif;
 mod heads;
 mod miniature;
@@ -21,21 +21,21 @@ mod tests;
 pub use attention::{AttentionError, EpisodeAttention, Shares};
 pub use collect::Collector;
 pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
-pub use film::{Film, LAST_S, MAX_WIDTH, MIN_WIDTH};
+pub use frames::{LAST_S, MAX_WIDTH, MIN_WIDTH, Video};
 pub use gif::{MAX_GIF_FPS, gif};
-pub use heads::{AttentionFilm, attention_strip};
+pub use heads::{AttentionVideo, attention_strip};
 pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, Miniature, miniature};
 pub use mp4::mp4;
 pub use strip::strip;
 
-/// Maximum frame rate of a film, frames per second.
+/// Maximum frame rate of a video, frames per second.
 pub const MAX_FPS: u32 = 60;
 
-/// Errors of encoding a film.
+/// Errors of encoding a video.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     /// There are no frames.
-    #[error("a film needs at least one frame")]
+    #[error("a video needs at least one frame")]
     NoFrames,
     /// The format does not support the frame rate.
     #[error("{fps} frames a second is not in 1..={most}")]

@@ -1,4 +1,4 @@
-//! `report` on handmade histories: the files that it writes, and its errors when there is nothing to draw.
+//! `report` on handmade histories: the files that it writes, and its errors when there is nothing to show.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -46,7 +46,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn pictures_and_tables_are_written() {
+fn tables_are_written() {
     let folder = tempfile::tempdir().unwrap();
     write_run(&folder.path().join("run"), &["2_000", "2_001"], &[0, 500, 900, 700]);
     write_run(&folder.path().join("other"), &["2_001", "2_002"], &[10]);
@@ -54,10 +54,15 @@ fn pictures_and_tables_are_written() {
     let stdout = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     // The weights evaluated at 900 steps were discarded when the run resumed from an earlier checkpoint.
-    for words in ["run: left out 1 evaluation", "3 evaluations of 2 blueprints drawn"] {
+    for words in [
+        "run: left out 1 evaluation",
+        "3 evaluations of 2 blueprints",
+        "| train 2-6 | 2 | greedy | 8 | 100.0 % |",
+        "serve run",
+    ] {
         assert!(stdout.contains(words), "no {words:?} in {stdout}");
     }
-    let plain = ["curves.png", "curves.svg", "groups.csv", "groups.md", "success.png", "success.svg"];
+    let plain = ["curves.csv", "groups.csv", "groups.md", "success.csv"];
     assert_eq!(names(&folder.path().join("run/report")), plain);
     let table = std::fs::read_to_string(folder.path().join("run/report/groups.md")).unwrap();
     assert!(table.contains("| train 2-6 | 2 | greedy | 8 | 100.0 % |"), "{table}");
@@ -69,19 +74,23 @@ fn pictures_and_tables_are_written() {
     assert_eq!(summary["groups"][0]["success"]["n_episodes"], 8);
     assert_eq!(summary["files"].as_array().unwrap().len(), plain.len());
 
-    let output = report(folder.path(), &["run", "--minus", "other", "--out", "new/pictures"]);
+    let read = |file: &str| std::fs::read_to_string(folder.path().join(file)).unwrap();
+    let rows = "split,n_blocks,blueprint,0,500,700\ntrain,2,2_000,1,1,1\ntrain,2,2_001,1,1,1\n";
+    assert_eq!(read("run/report/success.csv"), rows);
+    let curves = read("run/report/curves.csv");
+    assert!(curves.starts_with("group,n_env_steps,") && curves.contains("\ntrain 2-6,500,2,8,1,"), "{curves}");
+
+    let output = report(folder.path(), &["run", "--minus", "other", "--out", "new/tables"]);
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let written = names(&folder.path().join("new/pictures"));
-    assert_eq!(written.iter().filter(|name| name.starts_with("difference.")).count(), 2, "{written:?}");
-    let svg = std::fs::read_to_string(folder.path().join("new/pictures/difference.svg")).unwrap();
-    // Only the blueprint that both runs evaluated, without a difference: the middle of the color scale.
-    assert!(svg.contains("2_001") && !svg.contains("2_000") && svg.contains("#f7f7f7"), "{svg}");
-    assert!(svg.contains("at most 10 environment steps apart"), "{svg}");
+    // Only the blueprint that both runs evaluated, without a difference.
+    assert_eq!(read("new/tables/difference.csv"), "split,n_blocks,blueprint,0\ntrain,2,2_001,0\n");
+    assert!(stdout.contains("at most 10 environment steps apart"), "{stdout}");
 
     let output = report(folder.path(), &["run", "--out", "beside", "--beside", "other", "run"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let svg = std::fs::read_to_string(folder.path().join("beside/comparison.svg")).unwrap();
-    assert!(svg.contains(">other<") && svg.contains("1 blueprint, last 100.0 %"), "{svg}");
+    let table = read("beside/comparison.csv");
+    assert!(table.contains("\nother,10,1,4,1,") && table.contains("\nrun,700,1,4,1,"), "{table}");
 }
 
 #[test]
@@ -92,12 +101,12 @@ fn runs_with_the_same_folder_name_are_told_apart() {
     }
     let output = report(folder.path(), &["compact/seed-1", "--out", "out", "--beside", "resnet/seed-1"]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let svg = std::fs::read_to_string(folder.path().join("out/comparison.svg")).unwrap();
-    assert!(svg.contains(">compact/seed-1<") && svg.contains(">resnet/seed-1<"), "{svg}");
+    let table = std::fs::read_to_string(folder.path().join("out/comparison.csv")).unwrap();
+    assert!(table.contains("\ncompact/seed-1,0,") && table.contains("\nresnet/seed-1,500,"), "{table}");
 }
 
 #[test]
-fn what_cannot_be_drawn_is_named_with_what_to_do() {
+fn what_cannot_be_shown_is_named_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let path = |run: &str| folder.path().join(run);
     write_run(&path("run"), &["2_000"], &[0]);

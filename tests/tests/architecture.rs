@@ -12,7 +12,7 @@ const ALLOWED: [(&str, &[&str]); 13] = [
     ("environment", &["blueprints", "proto"]),
     ("policy", &["blueprints", "proto"]),
     ("runlog", &["blueprints", "proto"]),
-    ("render", &["blueprints", "proto", "policy", "runlog"]),
+    ("render", &["blueprints", "proto", "policy"]),
     ("actor", &["blueprints", "proto", "bus", "environment", "policy"]),
     ("learner", &["blueprints", "proto", "bus", "policy", "runlog"]),
     ("evaluator", &["blueprints", "proto", "bus", "environment", "policy", "runlog", "render"]),

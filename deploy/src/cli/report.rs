@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use clap::Args;
 use proto::ActionMode;
-use render::plot::MAX_RUNS;
 
 /// Arguments of `report`.
 #[derive(Clone, Debug, Args)]
@@ -12,17 +11,17 @@ pub struct ReportArgs {
     /// Folder of a run, in which the evaluator keeps eval.db.
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
-    /// Folder for the pictures and tables; created if it does not exist [default: RUN/report].
+    /// Folder for the tables; created if it does not exist [default: RUN/report].
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Actions to plot: greedy or sampled.
+    /// Actions of the tables by step: greedy or sampled.
     #[arg(long, value_name = "ACTING", default_value_t = ActionMode::Greedy)]
     pub acting: ActionMode,
-    /// Also plot the difference in success between RUN and this run.
+    /// Also write the difference in success between RUN and this run.
     #[arg(long, value_name = "RUN2")]
     pub minus: Option<PathBuf>,
-    /// Also plot RUN and up to four other runs in one picture, on the blueprints that all of them evaluated.
-    #[arg(long, value_name = "RUN2", num_args = 1..MAX_RUNS)]
+    /// Also write RUN and other runs into one table, on the blueprints that all of them evaluated.
+    #[arg(long, value_name = "RUN2", num_args = 1..)]
     pub beside: Vec<PathBuf>,
     /// Print the table of groups and the names of the written files as JSON.
     #[arg(long)]

@@ -1,16 +1,18 @@
-//! `report`: plots and tables of a run's evaluations.
+//! `report`: tables of a run's evaluations.
+
+mod groups;
+mod tables;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use proto::ActionMode;
-use render::plot::{self, Drawing, MAX_RUNS, groups};
-use runlog::series::{Difference, Grid, lineage, outcome_of};
+use runlog::series::{Difference, Grid, common_rates, lineage};
 use runlog::{History, Pass, RunPaths};
 use serde_json::json;
 
 use super::files::{File, write_files};
 use super::names::{name, names};
+use super::serve;
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -19,7 +21,7 @@ use crate::run_dir::check_exists;
 /// Default output folder, inside the run's folder.
 const REPORT: &str = "report";
 
-/// Runs the subcommand. Draws everything before it writes the first file.
+/// Runs the subcommand. Makes every table before it writes the first file.
 ///
 /// # Errors
 /// When a history is missing, damaged, written by a newer version, or without evaluations of this action mode, the runs
@@ -27,42 +29,33 @@ const REPORT: &str = "report";
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let stdout = terminal;
     let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };
-    if args.beside.len() >= MAX_RUNS {
-        return Err(Failure::Usage(format!("--beside: a picture has room for {} runs besides RUN", MAX_RUNS - 1)));
-    }
     check_exists(&args.run)?;
-    let (acting, name) = (args.acting, name(&args.run));
-    let all = history(&args.run)?;
+    let (acting, all) = (args.acting, history(&args.run)?);
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
-    let what = format!("{name}, {acting} actions, {}", episodes(&passes, acting));
-    let map = plot::success_map(&grid, "Success by blueprint over training", &what);
-    let mut files = picture("success", &map)?;
-    let what = format!("{what}, 95 % intervals");
-    if let Some(curves) = plot::curves(&passes, acting, "Success by group over training", &what) {
-        files.extend(picture("curves", &curves)?);
-    }
-    if let Some(last) = passes.last() {
-        let rows = groups::rows(last);
-        files.push(("groups.md".to_owned(), groups::markdown(&rows).into_bytes()));
-        files.push(("groups.csv".to_owned(), groups::csv(&rows).into_bytes()));
-    }
+    let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&passes, acting))];
+    let rows = passes.last().map(|last| groups::rows(last)).unwrap_or_default();
+    files.push(("groups.md".to_owned(), groups::markdown(&rows).into_bytes()));
+    files.push(file("groups", groups::csv(&rows)));
     if let Some(minus) = &args.minus {
-        files.extend(difference(&passes, args, minus, terminal)?);
+        files.push(difference(&passes, args, minus, terminal)?);
     }
     if !args.beside.is_empty() {
-        files.extend(comparison(&passes, args, terminal)?);
+        files.push(comparison(&passes, args, terminal)?);
     }
     let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
     write_files(&out, &files)?;
     if args.json {
         return super::json(&summary(args, &passes, &grid, &out, &files), stdout);
     }
-    let n_passes = count(passes.len(), "evaluation");
-    terminal.print(&format!("{n_passes} of {} drawn", count(grid.rows.len(), "blueprint")));
+    let what = format!("{} of {}", count(passes.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
+    terminal.print(&format!("{} ({what}):", name(&args.run)));
+    terminal.print(groups::markdown(&rows).trim_end());
     for (file, _) in files {
         terminal.print(&format!("  {}", out.join(file).display()));
     }
+    let runs: Vec<PathBuf> = [&args.run].into_iter().chain(&args.minus).chain(&args.beside).cloned().collect();
+    terminal.print(&format!("heat map and curves: {}", serve::command(&runs)));
     Ok(())
 }
 
@@ -88,7 +81,7 @@ fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: 
     })
 }
 
-fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<Vec<File>, Failure> {
+fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<File, Failure> {
     let all = history(minus)?;
     let others = shown(&all, minus, terminal);
     if Grid::success(&others, args.acting).is_none() {
@@ -102,17 +95,13 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
             args.acting,
         ))
     })?;
-    let names = names([args.run.as_path(), minus]);
-    let title = format!("Success of {}", names.join(" minus "));
-    let apart = match difference.max_apart {
-        0 => "at equal steps".to_owned(),
-        n_steps => format!("at most {} environment steps apart", digits(n_steps)),
-    };
-    let what = format!("{} actions, blue: {} is better, evaluations {apart}", args.acting, names[0]);
-    picture("difference", &plot::difference_map(&difference, &title, &what))
+    if difference.max_apart > 0 {
+        terminal.print(&format!("compared evaluations are at most {} environment steps apart", difference.max_apart));
+    }
+    Ok(file("difference", tables::grid(&difference.grid)))
 }
 
-fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<Vec<File>, Failure> {
+fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<File, Failure> {
     let histories = args.beside.iter().map(|run| history(run)).collect::<Result<Vec<_>, _>>()?;
     let mut evaluations = vec![passes.to_vec()];
     for (run, all) in args.beside.iter().zip(&histories) {
@@ -122,11 +111,7 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
         }
         evaluations.push(passes);
     }
-    let folders = [&args.run].into_iter().chain(&args.beside).map(PathBuf::as_path);
-    let runs: Vec<_> = names(folders).into_iter().zip(evaluations).collect();
-    let what = format!("{} actions, 95 % intervals, blueprints that every evaluation has", args.acting);
-    let drawing = plot::comparison(&runs, args.acting, "Success of several runs over training", &what);
-    let drawing = drawing.ok_or_else(|| {
+    let common = common_rates(evaluations.iter().map(Vec::as_slice), args.acting).ok_or_else(|| {
         Failure::NothingToShow(format!(
             "no blueprint was evaluated with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
              the same `evaluator.selection`",
@@ -134,7 +119,8 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
             args.run.display(),
         ))
     })?;
-    picture("comparison", &drawing)
+    let folders = [&args.run].into_iter().chain(&args.beside).map(PathBuf::as_path);
+    Ok(file("comparison", tables::comparison(&names(folders), &common)))
 }
 
 /// All evaluations of a run.
@@ -168,27 +154,8 @@ fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
     })
 }
 
-/// How many episodes each cell of the heat map stands for.
-fn episodes(passes: &[&Pass], acting: ActionMode) -> String {
-    let scores = passes.iter().flat_map(|pass| &pass.blueprints);
-    let counts = scores.filter_map(|score| Some(outcome_of(score, acting)?.success.n_episodes));
-    match (counts.clone().min(), counts.max()) {
-        (Some(least), Some(most)) if least < most => format!("{least} to {most} episodes per blueprint"),
-        (Some(1), _) => "1 episode per blueprint".to_owned(),
-        (n_episodes, _) => format!("{} episodes per blueprint", n_episodes.unwrap_or_default()),
-    }
-}
-
-fn picture(name: &str, drawing: &Drawing) -> Result<Vec<File>, Failure> {
-    let png = drawing.to_png().context("encoding a picture")?;
-    Ok(vec![(format!("{name}.svg"), drawing.to_svg().into_bytes()), (format!("{name}.png"), png)])
-}
-
-/// Formats a number with its digits in groups of three.
-fn digits(n: u64) -> String {
-    let text = n.to_string();
-    let groups = text.as_bytes().rchunks(3).rev().map(String::from_utf8_lossy);
-    groups.collect::<Vec<_>>().join(" ")
+fn file(name: &str, csv: String) -> File {
+    (format!("{name}.csv"), csv.into_bytes())
 }
 
 fn count(n: usize, what: &str) -> String {

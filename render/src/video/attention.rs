@@ -242,7 +242,7 @@ impl AttentionSource {
         match self {
             Self::Gripper(_) if n_grippers == 1 => ("gripper's choice".to_owned(), GRIPPER_COLORS[0]),
             Self::Gripper(idx) => (format!("gripper {}'s choice", idx + 1), GRIPPER_COLORS[idx]),
-            Self::Head { layer, head } => (format!("layer {}, head {}", layer + 1, head + 1), super::film::INK),
+            Self::Head { layer, head } => (format!("layer {}, head {}", layer + 1, head + 1), super::frames::INK),
         }
     }
 }

@@ -24,8 +24,8 @@ impl Collector {
         let place = self.begun.iter().position(|segments| segments.last().is_some_and(follows));
         let mut segments = match place {
             Some(place) => self.begun.remove(place),
-            // The segments of an episode begin after its burn-in.
-            None if segment.first_step == segment.n_burn_in_steps => Vec::new(),
+            // The segments of an episode begin after its warm start.
+            None if segment.first_step == segment.n_warm_start_steps => Vec::new(),
             None => {
                 self.n_left_out += 1;
                 return None;
@@ -75,11 +75,11 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_begins_after_its_burn_in() {
+    fn an_episode_begins_after_its_warm_start() {
         let mut collector = Collector::default();
         let [first, second] = [(1, 3), (3, 4)].map(|(first, last)| {
             let mut segment = of_task(1, first, last);
-            segment.n_burn_in_steps = 1;
+            segment.n_warm_start_steps = 1;
             segment
         });
         assert_eq!(collector.add(second.clone()), None);

@@ -1,12 +1,12 @@
-//! Films and strips of attention: the attention that every head of every layer pays to the blocks over an episode.
+//! Videos and strips of attention: the attention that every head of every layer pays to the blocks over an episode.
 
 use super::attention::{AttentionSource, EpisodeAttention, FULL, Shares, shade};
-use super::film::{GRAY, HAIRLINE, INK, goal_picture};
+use super::frames::{GRAY, HAIRLINE, INK, goal_picture};
 use super::stage::Stage;
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Image, Painter, Rgb, WHITE};
 
-/// Minimum number of pictures in a row of a film: world, goal, and two grippers.
+/// Minimum number of pictures in a row of a video: world, goal, and two grippers.
 const MIN_COLUMNS: usize = 4;
 
 /// Space between pictures, height of the text below each, and height of the legend, in pixels.
@@ -17,7 +17,7 @@ const LEGEND: usize = 24;
 /// Width of the text next to the rows of a strip, in pixels.
 const MARGIN: usize = 152;
 
-/// Duration of the last frame of a film, in seconds.
+/// Duration of the last frame of a video, in seconds.
 const LAST_S: f32 = 1.5;
 
 const TRACK: Rgb = [226, 230, 238];
@@ -27,7 +27,7 @@ const SHARES: [(&str, Rgb); 3] = [("plan", [24, 132, 84]), ("join", [30, 60, 130
 
 /// Draws frames of an episode with one picture per head.
 #[derive(Debug)]
-pub struct AttentionFilm<'g> {
+pub struct AttentionVideo<'g> {
     attention: &'g EpisodeAttention<'g>,
     stage: Stage,
     painter: Painter,
@@ -37,8 +37,8 @@ pub struct AttentionFilm<'g> {
     size_px: [usize; 2],
 }
 
-impl<'g> AttentionFilm<'g> {
-    /// Creates a film with frames of `width` pixels, clamped to [`MIN_WIDTH`](super::MIN_WIDTH) and
+impl<'g> AttentionVideo<'g> {
+    /// Creates a video with frames of `width` pixels, clamped to [`MIN_WIDTH`](super::MIN_WIDTH) and
     /// [`MAX_WIDTH`](super::MAX_WIDTH) and rounded to even. The height depends on the number of layers.
     pub fn new(attention: &'g EpisodeAttention<'g>, width: usize) -> Self {
         let width = width.clamp(super::MIN_WIDTH, super::MAX_WIDTH) / 2 * 2;

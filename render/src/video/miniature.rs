@@ -2,7 +2,7 @@
 
 use super::VideoError;
 use super::episode::{Episode, STEP_S};
-use super::film::{HAIRLINE, INK, ending, goal_picture};
+use super::frames::{HAIRLINE, INK, ending, goal_picture};
 use super::gif::gif;
 use super::stage::{SETTLING_STEPS, Stage};
 use crate::picture::text::{Type, write};

@@ -19,7 +19,7 @@ const QP: u8 = 24;
 
 /// Encodes the frames as MP4, `fps` (1 to [`MAX_FPS`]) per second. Equal frames give equal bytes on one machine.
 ///
-/// Frames are consumed one at a time, so that a film need not fit into memory.
+/// Frames are consumed one at a time, so that a video need not fit into memory.
 ///
 /// # Errors
 /// Returns an error if there is no frame, the frame rate or size is not supported (see [`VideoError`]), or the encoder

@@ -3,7 +3,7 @@
 use proto::Status;
 
 use super::episode::Episode;
-use super::film::{GRAY, HAIRLINE, INK, goal_picture};
+use super::frames::{GRAY, HAIRLINE, INK, goal_picture};
 use super::stage::{SETTLING_STEPS, Stage};
 use crate::picture::text::{Type, fitted, write};
 use crate::picture::{Image, Painter, Rgb, WHITE};

@@ -1,4 +1,4 @@
-//! Films of a small hand-made episode, checked by decoding their bytes.
+//! Videos of a small hand-made episode, checked by decoding their bytes.
 
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use proto::{
@@ -54,7 +54,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: first,
-        n_burn_in_steps: 0,
+        n_warm_start_steps: 0,
         transitions: (first..last).map(transition).collect(),
         last_scene: scene(0.4 * f32::from(last)),
         status,
@@ -97,8 +97,8 @@ fn segments_in_any_order_form_the_episode() {
 #[test]
 fn a_held_block_moves_evenly() {
     let episode = episode();
-    let mut film = Film::new(&episode, 480);
-    let frames = [0.0, 0.1, 0.15, 0.2].map(|time_s| film.frame(time_s));
+    let mut video = Video::new(&episode, 480);
+    let frames = [0.0, 0.1, 0.15, 0.2].map(|time_s| video.frame(time_s));
     let [_, b, c, d] = frames.each_ref().map(|frame| mean_column(frame, GRIPPER_COLORS[0]));
     // 1 m is about 200 pixels here, and sideways motion appears 0.85 times as long: 0.4 m are about 70 pixels.
     assert!((50.0..90.0).contains(&(d - b)), "{b} to {d}");
@@ -106,9 +106,9 @@ fn a_held_block_moves_evenly() {
 }
 
 #[test]
-fn film_shows_the_goal_next_to_the_world() {
+fn video_shows_the_goal_next_to_the_world() {
     let episode = episode();
-    let frame = Film::new(&episode, 960).frame(0.0);
+    let frame = Video::new(&episode, 960).frame(0.0);
     // The panel takes the last 27 % of the width. Only magnets are red or blue in it, and the goal has both.
     let left = 960 - 960 * 27 / 100;
     let panel = || (0..540).flat_map(|y| (left..960).map(move |x| (x, y))).filter_map(|(x, y)| frame.get(x, y));
@@ -116,7 +116,7 @@ fn film_shows_the_goal_next_to_the_world() {
     let n_blue = panel().filter(|[r, g, b]| b / 2 > *r && b > g).count();
     assert!(n_red.min(n_blue) > 100 && panel().filter(|color| *color == WHITE).count() > 1000, "{n_red} {n_blue}");
     // Only the last frame shows success.
-    let last = Film::new(&episode, 960).frame(9.0);
+    let last = Video::new(&episode, 960).frame(9.0);
     let banner = |image: &Image| image.get(left + 5, 535);
     assert_ne!(banner(&frame), banner(&last));
 }
@@ -138,7 +138,7 @@ fn mp4_box<'a>(bytes: &'a [u8], path: &[&str]) -> &'a [u8] {
 #[test]
 fn mp4_contains_every_frame_and_decodes() {
     let episode = episode();
-    let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
+    let frames: Vec<Image> = Video::new(&episode, 480).frames(10).collect();
     // Five scenes, and 2 seconds of the last one.
     assert_eq!(frames.len(), 5 + 20);
     let bytes = mp4(frames.iter().cloned(), 10).unwrap();
@@ -172,7 +172,7 @@ fn mp4_contains_every_frame_and_decodes() {
 #[test]
 fn gif_contains_every_frame_unchanged() {
     let episode = episode();
-    let frames: Vec<Image> = Film::new(&episode, 480).frames(10).collect();
+    let frames: Vec<Image> = Video::new(&episode, 480).frames(10).collect();
     let bytes = gif(frames.iter().cloned(), 10).unwrap();
     let mut options = ::gif::DecodeOptions::new();
     options.set_color_output(::gif::ColorOutput::RGBA);
@@ -226,8 +226,8 @@ fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
 fn attention_covers_every_head_and_refuses_other_worlds() {
     let episode = episode();
     let attention = EpisodeAttention::new(&policy(1, true), &episode).unwrap();
-    let mut film = AttentionFilm::new(&attention, 640);
-    let frames: Vec<Image> = film.frames(10).collect();
+    let mut video = AttentionVideo::new(&attention, 640);
+    let frames: Vec<Image> = video.frames(10).collect();
     assert_eq!(frames.len(), 5 + 15);
     // Four tiles in a row, (640 − 3 · 6) / 4 = 155 wide and 87 high with 22 pixels of text; three rows, and the legend.
     assert_eq!((frames[0].width(), frames[0].height()), (640, 352));

@@ -29,7 +29,7 @@ const WIDE_PX: usize = 800;
 
 /// Draws frames of one episode.
 #[derive(Debug)]
-pub struct Film<'a> {
+pub struct Video<'a> {
     episode: &'a Episode,
     stage: Stage,
     painter: Painter,
@@ -52,8 +52,8 @@ struct Layout {
     score_top: usize,
 }
 
-impl<'a> Film<'a> {
-    /// Creates a film with frames of `width` pixels, clamped to [`MIN_WIDTH`] and [`MAX_WIDTH`] and rounded to even.
+impl<'a> Video<'a> {
+    /// Creates a video with frames of `width` pixels, clamped to [`MIN_WIDTH`] and [`MAX_WIDTH`] and rounded to even.
     /// The height is nine sixteenths of the width, also rounded to even.
     pub fn new(episode: &'a Episode, width: usize) -> Self {
         let width = width.clamp(MIN_WIDTH, MAX_WIDTH) / 2 * 2;

@@ -2,38 +2,37 @@
 
 use std::fmt::Write;
 
-use proto::metrics::EvalOutcome;
-use proto::wilson::SuccessRate;
-
 use blueprints::Group;
 use proto::ActionMode;
+use proto::metrics::EvalOutcome;
+use proto::wilson::SuccessRate;
 use runlog::Pass;
 use runlog::series::{group_of, outcome_of};
 
 /// Results of a group with one action mode.
 #[derive(Clone, Debug, PartialEq)]
-pub struct GroupRow {
+pub(super) struct GroupRow {
     /// `train 2-6` and so on, `validation`, `all`, or `reset-free`.
-    pub name: String,
+    pub(super) name: String,
     /// Number of blueprints, or of goals in a reset-free run.
-    pub n_blueprints: usize,
+    pub(super) n_blueprints: usize,
     /// The action mode.
-    pub acting: ActionMode,
+    pub(super) acting: ActionMode,
     /// Success rate with its interval.
-    pub success: SuccessRate,
+    pub(super) success: SuccessRate,
     /// Stable success rate.
-    pub stable: SuccessRate,
+    pub(super) stable: SuccessRate,
     /// Mean steps of the successful episodes, if there are any.
-    pub mean_steps_to_success: Option<f64>,
+    pub(super) mean_steps_to_success: Option<f64>,
     /// Mean undiscounted return.
-    pub mean_return: f64,
+    pub(super) mean_return: f64,
     /// Episodes whose physics diverged.
-    pub n_diverged: u64,
+    pub(super) n_diverged: u64,
 }
 
 /// Returns the rows of an evaluation: the paper's groups in its order, the validation split, all blueprints, and the
 /// reset-free runs; those that were not evaluated are left out.
-pub fn rows(pass: &Pass) -> Vec<GroupRow> {
+pub(super) fn rows(pass: &Pass) -> Vec<GroupRow> {
     let mut rows = Vec::new();
     for group in Group::ALL.map(Some).into_iter().chain([None]) {
         for acting in [ActionMode::Greedy, ActionMode::Sampled] {
@@ -74,7 +73,7 @@ fn row(name: &str, acting: ActionMode, n_blueprints: usize, outcomes: &[&EvalOut
 }
 
 /// Formats the rows as a Markdown table, rates in percent with the 95 % interval.
-pub fn markdown(rows: &[GroupRow]) -> String {
+pub(super) fn markdown(rows: &[GroupRow]) -> String {
     let mut text = "| group | blueprints | actions | episodes | success | 95 % interval | stable | steps to success | \
                     return | diverged |\n|---|---|---|---|---|---|---|---|---|---|\n"
         .to_owned();
@@ -93,7 +92,7 @@ pub fn markdown(rows: &[GroupRow]) -> String {
 }
 
 /// Formats the rows as comma-separated values with a header; rates from 0 to 1, missing numbers empty.
-pub fn csv(rows: &[GroupRow]) -> String {
+pub(super) fn csv(rows: &[GroupRow]) -> String {
     let mut text =
         "group,n_blueprints,acting,n_episodes,n_successes,success,wilson_low,wilson_high,n_stable_successes,\
                     mean_steps_to_success,mean_return,n_diverged\n"

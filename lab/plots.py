@@ -1,0 +1,77 @@
+"""Draws the tables that `lodestone report` writes: a heat map by blueprint, and curves by group and by run.
+
+    pip install matplotlib
+    python lab/plots.py runs/<run>/report
+
+Every picture is beside its table: success.png, curves.png, and, if they were asked for, difference.png and
+comparison.png.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot
+
+
+def read(path: Path) -> list[list[str]]:
+    with path.open(newline="") as file:
+        return list(csv.reader(file))
+
+
+def heat_map(path: Path, title: str, lowest: float, colors: str) -> None:
+    header, *rows = read(path)
+    steps = [int(step) for step in header[3:]]
+    values = [[float(value) if value else float("nan") for value in row[3:]] for row in rows]
+    figure, axes = pyplot.subplots(figsize=(9, 2 + 0.13 * len(rows)))
+    image = axes.imshow(values, aspect="auto", interpolation="nearest", vmin=lowest, vmax=1.0, cmap=colors)
+    axes.set_yticks(range(len(rows)), [row[2] for row in rows], fontsize=6)
+    shown = range(0, len(steps), max(1, len(steps) // 8))
+    axes.set_xticks(shown, [f"{steps[at]:,}" for at in shown], fontsize=7)
+    axes.set_xlabel("environment steps")
+    axes.set_title(title)
+    figure.colorbar(image, ax=axes)
+    save(figure, path)
+
+
+def lines(path: Path, title: str) -> None:
+    _, *rows = read(path)
+    figure, axes = pyplot.subplots(figsize=(9, 5))
+    for name in dict.fromkeys(row[0] for row in rows):
+        of_name = [[float(value) for value in row[1:]] for row in rows if row[0] == name]
+        steps, _, _, rates, low, high = zip(*of_name)
+        axes.plot(steps, rates, marker="o", markersize=3, label=name)
+        axes.fill_between(steps, low, high, alpha=0.15)
+    axes.set_ylim(0.0, 1.02)
+    axes.set_xlabel("environment steps")
+    axes.set_ylabel("success, 95 % intervals")
+    axes.set_title(title)
+    axes.legend()
+    save(figure, path)
+
+
+def save(figure: pyplot.Figure, path: Path) -> None:
+    picture = path.with_suffix(".png")
+    figure.savefig(picture, dpi=150, bbox_inches="tight")
+    print(picture)
+
+
+def main() -> None:
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    report = Path(sys.argv[1])
+    heat_map(report / "success.csv", "Success by blueprint", 0.0, "viridis")
+    lines(report / "curves.csv", "Success by group")
+    if (report / "difference.csv").is_file():
+        heat_map(report / "difference.csv", "Difference in success", -1.0, "RdBu")
+    if (report / "comparison.csv").is_file():
+        lines(report / "comparison.csv", "Success of several runs")
+
+
+if __name__ == "__main__":
+    main()
