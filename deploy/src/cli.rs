@@ -9,29 +9,29 @@ use std::process::ExitCode;
 use ::blueprints::Split;
 use ::blueprints::outside::{printable, printable_lines};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::{ArgGroup, Args, CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
 
 mod blueprints;
 mod bus;
-mod expert;
 mod record;
 mod render;
 mod report;
 mod serve;
 mod settings;
+mod start;
 mod sweep;
 mod values;
 mod watch;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
-pub use self::expert::{ExpertCommand, ExpertEvalArgs, StartArg};
 pub use self::record::{GoalArgs, PerformerArgs, RecordArgs};
-pub use self::render::{FilmFormat, LiveArgs, RenderArgs};
+pub use self::render::{LiveArgs, RenderArgs, VideoFormat};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
+pub use self::start::StartArg;
 pub use self::sweep::SweepArgs;
 pub use self::watch::WatchArgs;
 
@@ -147,7 +147,7 @@ pub enum Command {
     Healthcheck(HealthcheckArgs),
     /// Watch a run live: success, throughput, losses, actors, and drops.
     Watch(WatchArgs),
-    /// Evaluate a checkpoint or the shipped policy.
+    /// Evaluate a checkpoint, the shipped policy, or the scripted expert.
     Eval(EvalArgs),
     /// Watch a policy build on a web page: any blueprint, from any start, to rotate and step through.
     Play(PlayArgs),
@@ -155,16 +155,13 @@ pub enum Command {
     Serve(ServeArgs),
     /// Export the policy of a checkpoint to a single file, for acting only.
     Export(ExportArgs),
-    /// Plot how success grew during a run: a heat map of blueprints, curves, and a table of groups.
+    /// Write tables of how success grew during a run, by group and by blueprint.
     Report(ReportArgs),
-    /// Run the scripted expert.
-    #[command(subcommand)]
-    Expert(ExpertCommand),
     /// Record episodes as trajectories, for `render`.
     ///
     /// For a Minari dataset for offline learning, use the Python package: `python -m lodestone.record`.
     Record(RecordArgs),
-    /// Render recorded or live episodes as films.
+    /// Render recorded or live episodes as videos.
     Render(RenderArgs),
     /// List, check, generate, and draw blueprints.
     #[command(subcommand)]
@@ -368,7 +365,7 @@ pub struct PlayArgs {
     /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
-    /// Folder for episodes and films [default: runs/DATE-play].
+    /// Folder for episodes and videos [default: runs/DATE-play].
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
     /// Set one configuration key, for example evaluator.episodes.starts=scattered; may be repeated.
@@ -378,10 +375,18 @@ pub struct PlayArgs {
 
 /// Arguments of `eval`.
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("agent").required(true).args(["checkpoint", "pretrained", "expert"]))]
 pub struct EvalArgs {
-    /// The policy.
-    #[command(flatten)]
-    pub model: ModelArgs,
+    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
+    /// one of them, or a file written by `export`.
+    #[arg(long, value_name = "DIR_OR_FILE")]
+    pub checkpoint: Option<PathBuf>,
+    /// The shipped policy.
+    #[arg(long)]
+    pub pretrained: bool,
+    /// The scripted expert, in the default world; of the settings, `environment`, `evaluator`, and `seed` matter.
+    #[arg(long)]
+    pub expert: bool,
     /// Only this blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
     pub blueprint: Vec<OsString>,
@@ -404,8 +409,15 @@ pub struct EvalArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
     /// Also print how the episodes ended, by number of blocks.
-    #[arg(long, conflicts_with = "json")]
+    #[arg(long, conflicts_with_all = ["json", "expert"])]
     pub endings: bool,
+    /// Write the cause of each of the expert's failures (failures.json) and a replay of it to this new folder.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["checkpoint", "pretrained"])]
+    pub explain: Option<PathBuf>,
+    /// Write replays of the expert's first success and first failure of each group to this new folder, for `lodestone
+    /// render`.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["checkpoint", "pretrained"])]
+    pub record: Option<PathBuf>,
     /// Print every blueprint, not only the groups and the worst blueprints.
     #[arg(long)]
     pub verbose: bool,
@@ -443,7 +455,7 @@ mod tests {
     fn threads_are_numbers_wherever_episodes_are_played() {
         for command in [
             &["eval", "--pretrained"][..],
-            &["expert", "eval"],
+            &["eval", "--expert"],
             &["record", "--pretrained", "--blueprint", "2_000", "--out", "played"],
         ] {
             // Clap checks an argument's type only when it reads the argument.

@@ -53,12 +53,12 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["export", "--checkpoint", "x"], &["--out"]),
         (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
         (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=10000"]),
-        (&["expert", "eval", "--grippers", "3"], &["--grippers", "3 is not in 1..=2"]),
-        (&["expert", "eval", "--start", "flying"], &["--start", "flying", "scattered, prebuilt, mixed"]),
-        (&["expert", "eval", "2_000", "--split", "train"], &["--split", "cannot be used with"]),
+        (&["eval", "--expert", "--pretrained"], &["--expert", "cannot be used with"]),
+        (&["eval", "--pretrained", "--explain", "why"], &["--explain", "cannot be used with"]),
+        (&["eval", "--expert", "--blueprint", "2_000", "--split", "train"], &["--split", "cannot be used with"]),
         (&["router"], &["--listen"]),
         (&["render", "x.trajectory"], &["--out"]),
-        (&["render", "x", "--out", "films", "--width", "3"], &["--width", "480..=1920"]),
+        (&["render", "x", "--out", "videos", "--width", "3"], &["--width", "480..=1920"]),
         (&["train", "--steps", "-3"], &["--steps", "-3 is not in 1.."]),
         (&["train", "--seed", "-1"], &["--seed", "-1 is not in 0.."]),
         (&["tarin"], &["tarin", "train"]),
@@ -94,12 +94,14 @@ fn wrong_configurations_are_named_with_what_is_valid() {
         (&["actor"], None, &["bus.connect = []", "router"]),
         (&["train", "--config", "/dev/zero"], None, &["/dev/zero: it has more than 1048576 bytes"]),
         (&["blueprints", "check", "/dev/zero"], None, &["/dev/zero has more than 1048576 bytes"]),
-        (&["render", "my.toml", "--out", "films"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
-        (&["render", "my.toml", "--out", "films"], Some(""), &["my.toml", "is empty"]),
-        (&["render", "my.toml", "--out", "films"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
+        (&["render", "my.toml", "--out", "videos"], Some("seed = 1"), &["my.toml", "is not a recorded trajectory"]),
+        (&["render", "my.toml", "--out", "videos"], Some(""), &["my.toml", "is empty"]),
+        (&["render", "my.toml", "--out", "videos"], Some("\u{8}\u{1}\u{12}\u{6}exp"), &["my.toml", "cut off"]),
         (&["blueprints", "list", "gone"], None, &["gone", "cannot read"]),
-        (&["expert", "eval", "6-005"], None, &["`6-005`", "did you mean `6_005`"]),
-        (&["expert", "eval", "--set", "environment.n_griper=1"], None, &["did you mean `n_grippers`"]),
+        (&["eval", "--expert", "--blueprint", "6-005"], None, &["`6-005`", "did you mean `6_005`"]),
+        (&["eval", "--expert", "--set", "environment.n_griper=1"], None, &["did you mean `n_grippers`"]),
+        (&["eval", "--expert", "--set", "environment.n_grippers=3"], None, &["environment.n_grippers = 3"]),
+        (&["eval", "--expert", "--set", "policy.mask=none"], None, &["policy.mask"]),
         (
             &["blueprints", "generate", "--size", "3", "--style", "ring", "--out", "made"],
             None,
@@ -136,7 +138,7 @@ fn whatever_is_missing_is_named_with_one_code() {
         &["train", "--init-from", "gone"],
         &["serve", "gone"],
         &["report", "gone"],
-        &["render", "gone", "--out", "films"],
+        &["render", "gone", "--out", "videos"],
     ] {
         check_refused(args, &[], None, 66, &["error: gone does not exist"]);
     }
@@ -226,7 +228,7 @@ fn shells_know_the_commands() {
 fn an_interrupted_evaluation_says_what_it_has_found() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = crate::support::program::lodestone(folder.path());
-    command.args(["expert", "eval", "2_000", "--episodes", "10000", "--json"]);
+    command.args(["eval", "--expert", "--blueprint", "2_000", "--episodes", "10000", "--json"]);
     let mut evaluation = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(evaluation.stderr.take().unwrap()).lines().map(Result::unwrap);
     // Wait until some episodes have ended.
@@ -340,20 +342,21 @@ fn generated_blueprints_pass_the_checks_and_replace_nothing() {
 }
 
 #[test]
-fn the_expert_is_judged_and_its_failures_are_explained() {
+fn the_expert_is_evaluated_and_its_failures_are_explained() {
     let folder = tempfile::tempdir().unwrap();
     let judge = |args: &[&str]| {
-        let output = lodestone(folder.path(), &[&["expert", "eval", "--episodes", "2", "--json"], args].concat(), &[]);
+        let output =
+            lodestone(folder.path(), &[&["eval", "--expert", "--episodes", "2", "--json"], args].concat(), &[]);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
     };
     // A generated blueprint works like one from the catalog.
-    let good = judge(&["2_000", "gen1-any-0_6_000"]);
+    let good = judge(&["--blueprint", "2_000", "--blueprint", "gen1-any-0_6_000"]);
     assert_eq!(good["blueprints"].as_array().unwrap().len(), 2);
     assert_eq!(good["groups"][0]["outcome"]["success"]["n_episodes"], 4);
     assert!(good["steps_per_second"].as_f64().unwrap() > 0.0);
-    assert_eq!(judge(&["2_000", "--grippers", "1"])["groups"][0]["n_built"], 1);
-    let bad = judge(&["16_000", "--set", "environment.episode_steps=5", "--explain", "why"]);
+    assert_eq!(judge(&["--blueprint", "2_000", "--set", "environment.n_grippers=1"])["groups"][0]["n_built"], 1);
+    let bad = judge(&["--blueprint", "16_000", "--set", "environment.episode_steps=5", "--explain", "why"]);
     assert_eq!(bad["groups"][0]["outcome"]["success"]["n_successes"], 0);
     let causes = std::fs::read_to_string(folder.path().join("why/failures.json")).unwrap();
     let causes: serde_json::Value = serde_json::from_str(&causes).unwrap();
@@ -362,7 +365,7 @@ fn the_expert_is_judged_and_its_failures_are_explained() {
     let replay = proto::codec::decode_recording(&std::fs::read(replay).unwrap()).unwrap();
     assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
     // An existing folder is not written to.
-    let again = lodestone(folder.path(), &["expert", "eval", "2_000", "--explain", "why"], &[]);
+    let again = lodestone(folder.path(), &["eval", "--expert", "--blueprint", "2_000", "--explain", "why"], &[]);
     assert_eq!(again.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&again.stderr).contains("cannot make the folder why"));
 }

@@ -50,7 +50,7 @@ fn whoever_waits_for_a_router_ends_with_a_signal() {
         &["actor"],
         &["learner", "--run-dir", "run"],
         &["evaluator"],
-        &["render", "--out", "films"],
+        &["render", "--out", "videos"],
         &["watch", "--json"],
         &["watch", "--once"],
     ];
@@ -142,7 +142,7 @@ fn a_closed_terminal_ends_every_long_command() {
         (&["serve", "run"], "Ctrl-C ends"),
         (&["play", "--run-dir", "played"], "Ctrl-C ends"),
         (&["eval", "--pretrained"], "episodes"),
-        (&["expert", "eval"], "episodes"),
+        (&["eval", "--expert"], "episodes"),
         (&["record", "--pretrained", "--split", "train", "--out", "recorded"], "episodes"),
     ];
     let mut ends = Vec::new();

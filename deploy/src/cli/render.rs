@@ -14,7 +14,7 @@ use super::values::endpoint;
 /// Arguments of `render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Recorded trajectories, for example from `expert eval --record DIR`; segments of one episode become one film. For
+    /// Recorded trajectories, for example from `eval --expert --record DIR`; segments of one episode become one video. For
     /// the folder of a run, all recordings of its evaluator.
     #[arg(value_name = "FILE_OR_RUN", required_unless_present = "connect")]
     pub files: Vec<PathBuf>,
@@ -22,8 +22,8 @@ pub struct RenderArgs {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Output format.
-    #[arg(long, value_enum, default_value_t = FilmFormat::Mp4)]
-    pub format: FilmFormat,
+    #[arg(long, value_enum, default_value_t = VideoFormat::Mp4)]
+    pub format: VideoFormat,
     /// Frames per second, at most 50 for a GIF [default: 30 for an MP4; 10 for a GIF or with --attention].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_FPS)))]
     pub fps: Option<u32>,
@@ -41,7 +41,7 @@ pub struct RenderArgs {
     /// of a run's best policy, of one checkpoint, or of an exported file.
     #[arg(long, value_name = "DIR")]
     pub attention: Option<PathBuf>,
-    /// Print what each head attends to, averaged over all scenes of all files, and write it to attention.csv; no films.
+    /// Print what each head attends to, averaged over all scenes of all files, and write it to attention.csv; no videos.
     #[arg(long, requires = "attention", conflicts_with_all = ["format", "fps", "width", "connect"])]
     pub table: bool,
     /// Live episodes of a run's actors.
@@ -74,10 +74,10 @@ pub struct LiveArgs {
 
 /// Output format of `render`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum FilmFormat {
-    /// A film that every browser plays.
+pub enum VideoFormat {
+    /// A video that every browser plays.
     Mp4,
-    /// An animated picture, for places that cannot play films.
+    /// An animated picture, for places that cannot play videos.
     Gif,
     /// One picture: the goal and seven scenes or, with --attention, one row per head.
     PngStrip,

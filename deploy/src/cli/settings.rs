@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser};
-use learner::config::RateRule;
+use learner::config::LrSchedule;
 use runlog::RunPaths;
 
 use crate::config::{ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
@@ -137,10 +137,10 @@ fn of_ablation(ablation: &Ablation) -> PossibleValue {
 fn has_effect(overrides: &[Override], config: &Config) -> Result<(), ConfigError> {
     let is_rate = |given: &&Override| given.path == ["learner", "optimizer", "learning_rate"];
     match overrides.iter().find(is_rate) {
-        Some(given) if matches!(config.learner.optimizer.rate_rule, RateRule::Line(_)) => Err(ConfigError::Value {
+        Some(given) if matches!(config.learner.optimizer.lr_schedule, LrSchedule::Line(_)) => Err(ConfigError::Value {
             origin: given.origin.clone(),
-            message: "has no effect while learner.optimizer.rate_rule is a line; change its points, or add \
-                      learner.optimizer.rate_rule.kind=fixed"
+            message: "has no effect while learner.optimizer.lr_schedule is a line; change its points, or add \
+                      learner.optimizer.lr_schedule.kind=fixed"
                 .to_owned(),
         }),
         _ => Ok(()),
@@ -236,7 +236,7 @@ mod tests {
         };
         // `laptop` has a schedule of rates.
         let message = load("learner.optimizer.learning_rate=1e-4", Some("laptop")).unwrap();
-        assert!(message.contains("has no effect while learner.optimizer.rate_rule is a line"), "{message}");
+        assert!(message.contains("has no effect while learner.optimizer.lr_schedule is a line"), "{message}");
         for name in ["features", "values"] {
             let set = format!("learner.normalization.{name}=false");
             let message = load(&set, Some("near-goal")).unwrap();

@@ -1,4 +1,4 @@
-//! `eval`: evaluates a policy on blueprints.
+//! `eval`: evaluates a policy or the expert on blueprints.
 
 use std::time::Instant;
 
@@ -8,9 +8,10 @@ use evaluator::{
 };
 use tokio_util::sync::CancellationToken;
 
+use super::expert;
 use super::goals::{Goals, tell_choices};
 use super::models::Source;
-use crate::cli::EvalArgs;
+use crate::cli::{EvalArgs, ModelArgs};
 use crate::config::Override;
 use crate::exit::Failure;
 use crate::limits;
@@ -24,18 +25,22 @@ use crate::live::{self, EpisodeCounter, Terminal};
 /// # Errors
 /// When the policy or the run's configuration cannot be read, an episode cannot be started, or `shutdown` came first.
 pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
-    let source = Source::open(&args.model)?;
+    if args.expert {
+        return expert::run(args, terminal, shutdown);
+    }
+    let model = ModelArgs { checkpoint: args.checkpoint.clone(), pretrained: args.pretrained };
+    let source = Source::open(&model)?;
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let config = source.config(&overrides)?;
     let selection = if !args.split.is_empty() {
         Selection { splits: args.split.clone(), ..Selection::default() }
-    } else if args.model.pretrained {
+    } else if args.pretrained {
         Selection::default()
     } else {
         final_selection(&config.evaluator)
     };
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
-    let goals = Goals::open_beside(&args.blueprint, args.model.checkpoint.as_deref())?;
+    let goals = Goals::open_beside(&args.blueprint, args.checkpoint.as_deref())?;
     let (catalog, named) = (goals.catalog(), goals.blueprints()?);
     let blueprints: Vec<&Blueprint> = if named.is_empty() {
         selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?

@@ -1,6 +1,5 @@
-//! `expert eval`: evaluates the scripted expert on blueprints.
+//! `eval --expert`: evaluates the scripted expert on blueprints.
 
-use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
@@ -10,7 +9,7 @@ use anyhow::Context;
 use blueprints::Group;
 use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
-    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, evaluate_expert_followed, render_expert,
+    EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, Selection, evaluate_expert_followed, render_expert,
 };
 use proto::Trajectory;
 use proto::codec::encode_recording;
@@ -18,11 +17,14 @@ use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, tell_choices};
-use crate::cli::{ExpertCommand, ExpertEvalArgs};
+use crate::cli::EvalArgs;
 use crate::config::{Base, Config, Override, merge};
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
+
+/// What differs from the defaults: starts as in the table of results, and the seed of its figures.
+const DEFAULTS: &str = "seed = 0\nevaluator.episodes.starts = \"mixed\"";
 
 /// An entry of `failures.json`.
 #[derive(Debug, Serialize)]
@@ -43,47 +45,36 @@ struct Timed<'a> {
     n_threads: usize,
 }
 
-/// Runs the subcommand.
+/// Runs the episodes and prints the report.
 ///
 /// # Errors
 /// When a blueprint is unknown, an episode cannot be started, or the explanation cannot be written; also when
 /// `shutdown` came first, after the results so far have been printed and written.
-pub(super) fn run(command: &ExpertCommand, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
-    match command {
-        ExpertCommand::Eval(args) => eval(args, terminal, shutdown),
-    }
-}
-
-fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
+pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
-    Override::only_in(&["environment", "evaluator.reset_free"], &overrides)?;
+    Override::only_in(&["environment", "evaluator", "seed"], &overrides)?;
     let config = defaults(&overrides)?;
-    let mut environment = config.evaluation_environment();
-    // Set after validation, which expects as many grippers in the policy's network: no policy acts here.
-    environment.n_grippers = args.grippers.unwrap_or(environment.n_grippers);
-    let named = [&args.ids[..], &args.blueprint[..]].concat();
-    tell_choices(&named, &terminal.on_stderr())?;
-    let goals = Goals::open(&named)?;
-    let catalog = goals.catalog();
-    let selected = select(&goals, &args.split)?;
-    let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
+    tell_choices(&args.blueprint, &terminal.on_stderr())?;
+    let goals = Goals::open(&args.blueprint)?;
+    let (catalog, named) = (goals.catalog(), goals.blueprints()?);
+    let blueprints: Vec<&Blueprint> = match named.is_empty() {
+        true => Selection { splits: splits(args), ..Selection::default() }
+            .select(catalog)
+            .map_err(|error| Failure::Usage(error.to_string()))?,
+        false => named.iter().map(AsRef::as_ref).collect(),
+    };
     for folder in args.explain.iter().chain(&args.record) {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
     let n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
         catalog,
-        environment,
-        episodes: EpisodeConfig {
-            n_episodes: args.episodes,
-            starts: args.start.into(),
-            n_threads,
-            ..Default::default()
-        },
+        environment: config.evaluation_environment(),
+        episodes: EpisodeConfig { n_episodes: args.episodes, n_threads, ..config.evaluator.episodes },
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
         // The expert plans for each world separately, so more than one world per thread gains nothing.
         n_worlds: 1,
-        seed: args.seed,
+        seed: config.seed,
     };
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
     let (episodes, start) = (EpisodeCounter::new(terminal.on_stderr(), n_planned), Instant::now());
@@ -111,20 +102,15 @@ fn eval(args: &ExpertEvalArgs, terminal: &Terminal, shutdown: &CancellationToken
 
 /// The default configuration with `overrides` applied.
 fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
-    let config = merge("", "the defaults", Base::Defaults, overrides)?;
+    let mut config = merge(DEFAULTS, "the defaults", Base::Defaults, overrides)?;
+    // No policy acts here.
+    config.policy.features.n_grippers = config.environment.n_grippers;
     config.validate()?;
     Ok(config)
 }
 
-/// The named blueprints, those of the given splits, or the paper's.
-fn select<'g>(goals: &'g Goals, splits: &[Split]) -> Result<Vec<Cow<'g, Blueprint>>, Failure> {
-    let named = goals.blueprints()?;
-    if !named.is_empty() {
-        return Ok(named);
-    }
-    let splits = if splits.is_empty() { &Split::PAPER[..] } else { splits };
-    let wanted = |blueprint: &&Blueprint| splits.contains(&blueprint.split());
-    Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
+fn splits(args: &EvalArgs) -> Vec<Split> {
+    if args.split.is_empty() { Split::PAPER.to_vec() } else { args.split.clone() }
 }
 
 /// Writes replays of the first success and the first failure of each group.
