@@ -94,14 +94,14 @@ fn main() {
     }
 }
 
-fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Weights) -> Rollout<'static, World> {
+fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Weights) -> Rollout<World> {
     let setup = RolloutSetup {
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
         policy: policy.clone(),
         settings: Default::default(),
         tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
         segment_len: 32,
-        burn_in: actor::BurnInConfig::default(),
+        warm_start: actor::WarmStartConfig::default(),
         identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0 },
         seed: 0,
     };

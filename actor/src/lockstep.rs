@@ -12,7 +12,7 @@ use crate::setup::ActorSetup;
 pub struct Lockstep {
     setup: ActorSetup,
     /// Created with the first weights.
-    rollout: Option<Rollout<'static, World>>,
+    rollout: Option<Rollout<World>>,
 }
 
 impl Lockstep {
@@ -46,7 +46,7 @@ impl Lockstep {
     }
 }
 
-fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<'static, World>> {
+fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<World>> {
     setup.config.validate().context("invalid actor configuration")?;
     let identity = Identity { actor: setup.id.clone(), epoch: 0 };
     let worlds: Result<Vec<World>, _> = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();

@@ -1,5 +1,7 @@
 //! Configuration of a whole actor.
 
+use std::sync::Arc;
+
 use blueprints::Catalog;
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
@@ -21,7 +23,7 @@ pub struct ActorSetup {
     /// Seed of the run.
     pub seed: u64,
     /// Source of goals and starts; the learner has the same.
-    pub catalog: &'static Catalog,
+    pub catalog: Arc<Catalog>,
 }
 
 impl ActorSetup {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 use std::{fs, io};
 
 use crate::checks::check_text;
@@ -121,9 +121,10 @@ impl Catalog {
     ///
     /// # Panics
     /// Never in a build that passes the tests: the files are compiled in.
-    pub fn builtin() -> &'static Self {
-        static BUILTIN: LazyLock<Catalog> = LazyLock::new(|| {
-            Catalog::from_files(BUILTIN_FILES.iter().copied()).expect("the embedded blueprints are valid")
+    pub fn builtin() -> &'static Arc<Self> {
+        static BUILTIN: LazyLock<Arc<Catalog>> = LazyLock::new(|| {
+            let builtin = Catalog::from_files(BUILTIN_FILES.iter().copied());
+            Arc::new(builtin.expect("the embedded blueprints are valid"))
         });
         &BUILTIN
     }

@@ -176,7 +176,7 @@ fn blueprints_of_ones_own_take_the_place_of_their_like() {
 #[test]
 fn folder_loads_like_the_builtin_catalog() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("catalog");
-    assert_eq!(Catalog::load(&folder).expect("the folder is valid"), *Catalog::builtin());
+    assert_eq!(Catalog::load(&folder).expect("the folder is valid"), **Catalog::builtin());
     let one = Catalog::load(&folder.join("6_005.toml")).expect("the file is valid");
     assert_eq!((one.len(), one.is_empty()), (1, false));
     let without = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -4,7 +4,6 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use blueprints::{BlockIdx, BlueprintId, Catalog, N_BLOCKS};
@@ -22,7 +21,7 @@ fn main() {
     let (n_samples, n_threads) = (numbers.next().unwrap_or(1024), numbers.next().unwrap_or(1));
     let id = BlueprintId::try_from("2_000".to_owned()).unwrap();
     let config = LearnerConfig {
-        steps_per_update: n_samples,
+        batch_size: n_samples,
         minibatch_size: 256,
         n_threads: Some(n_threads),
         ..LearnerConfig::default()
@@ -30,7 +29,7 @@ fn main() {
     let setup = LearnerSetup {
         config,
         policy: PolicyConfig::default(),
-        catalog: Arc::new(Catalog::builtin().clone()),
+        catalog: Catalog::builtin().clone(),
         tasks: vec![id.clone()],
         generated: None,
         seed: 0,
@@ -78,7 +77,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 0,
-        n_burn_in_steps: 0,
+        n_warm_start_steps: 0,
         transitions,
         last_scene: scene(rng),
         status: Status::Running,

@@ -60,7 +60,7 @@ impl Goals {
     /// # Errors
     /// Returns an error if no goals result, a name is unknown, two goals share an id, or one goal replaces another.
     pub(crate) fn new(names: &[String]) -> Result<Self, GoalError> {
-        let mut catalog = Catalog::builtin().clone();
+        let mut catalog = Catalog::builtin().as_ref().clone();
         let mut ids = Vec::new();
         let (mut sources, mut choices) = (Vec::new(), Vec::new());
         for name in names {

@@ -1,5 +1,7 @@
 //! Summary of the shown run: its name, target, and what the page offers.
 
+use std::sync::Arc;
+
 use blueprints::{BlueprintId, Catalog};
 use render::picture::GRIPPER_COLORS;
 use serde::Serialize;
@@ -31,7 +33,7 @@ pub struct About {
     /// The goals shown first; empty for the whole catalog.
     pub blueprints: Vec<BlueprintId>,
     /// All goals available for selection.
-    pub catalog: Catalog,
+    pub catalog: Arc<Catalog>,
     /// What the page says when nothing serves it any longer.
     pub farewell: Farewell,
 }

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use blueprints::catalog::read_files;
@@ -18,7 +19,7 @@ use crate::live::Terminal;
 
 /// Named blueprints, and a catalog that contains them in addition to the built-in ones.
 pub(super) struct Goals {
-    catalog: Cow<'static, Catalog>,
+    catalog: Arc<Catalog>,
     /// Blueprints that the built-in catalog lacks: from files, and generated ones.
     own: Vec<BlueprintId>,
     /// The named blueprints.
@@ -49,7 +50,7 @@ impl Goals {
     /// As for [`Self::open`]; also when a blueprint of the run cannot be read, or is not the one that the run began
     /// with.
     pub(super) fn open_beside(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
-        let mut goals = Self { catalog: Cow::Borrowed(Catalog::builtin()), own: Vec::new(), ids: Vec::new() };
+        let mut goals = Self { catalog: Catalog::builtin().clone(), own: Vec::new(), ids: Vec::new() };
         if let Some(folder) = run.and_then(blueprints_of_run) {
             let kept = Catalog::load(&folder)?;
             check_unchanged(&folder, &kept)?;
@@ -90,28 +91,15 @@ impl Goals {
         let is_new = |blueprint: &&Blueprint| self.catalog.get(blueprint.id()) != Some(*blueprint);
         let new: Vec<BlueprintId> = others.iter().filter(is_new).map(|blueprint| blueprint.id().clone()).collect();
         if !new.is_empty() {
-            self.catalog = Cow::Owned(self.catalog.with(others));
+            self.catalog = Arc::new(self.catalog.with(others));
             self.own.retain(|id| !new.contains(id));
             self.own.extend(new);
         }
     }
 
     /// The catalog of the named and the built-in blueprints.
-    pub(super) fn catalog(&self) -> &Catalog {
+    pub(super) fn catalog(&self) -> &Arc<Catalog> {
         &self.catalog
-    }
-
-    /// Returns the catalog alone.
-    pub(super) fn into_catalog(self) -> Catalog {
-        self.catalog.into_owned()
-    }
-
-    /// Returns the catalog for all threads, until the process ends.
-    pub(super) fn into_static(self) -> &'static Catalog {
-        match self.catalog {
-            Cow::Borrowed(catalog) => catalog,
-            Cow::Owned(catalog) => Box::leak(Box::new(catalog)),
-        }
     }
 
     /// The ids of the named blueprints.
@@ -130,9 +118,9 @@ impl Goals {
 
 /// The blueprints that a training learns and evaluates.
 pub(super) struct TrainingGoals {
-    catalog: &'static Catalog,
+    catalog: Arc<Catalog>,
     /// Blueprints that the built-in catalog lacks; the run's folder keeps a copy of them.
-    own: Vec<&'static Blueprint>,
+    own: Vec<BlueprintId>,
     /// The named blueprints; if empty, the configuration chooses.
     ids: Vec<String>,
 }
@@ -162,14 +150,12 @@ impl TrainingGoals {
             }
         }
         let ids = goals.ids.iter().map(ToString::to_string).collect();
-        let own = goals.own.clone();
-        let catalog = goals.into_static();
-        Ok(Self { catalog, own: own.iter().filter_map(|id| catalog.get(id)).collect(), ids })
+        Ok(Self { catalog: goals.catalog, own: goals.own, ids })
     }
 
     /// The catalog of all goals.
-    pub(super) fn catalog(&self) -> &'static Catalog {
-        self.catalog
+    pub(super) fn catalog(&self) -> &Arc<Catalog> {
+        &self.catalog
     }
 
     /// The settings of a training on the named goals alone.
@@ -199,10 +185,11 @@ impl TrainingGoals {
         let text = |goal: &&Blueprint| {
             (format!("{}.toml", goal.id()), goal.to_toml("a goal that this run was given").into_bytes())
         };
+        let own: Vec<&Blueprint> = self.own.iter().filter_map(|id| self.catalog.get(id)).collect();
         let structures: BTreeMap<&str, String> =
-            self.own.iter().map(|goal| (goal.id().as_str(), fingerprint(goal))).collect();
+            own.iter().map(|goal| (goal.id().as_str(), fingerprint(goal))).collect();
         let structures = serde_json::to_vec_pretty(&structures).map_err(anyhow::Error::from)?;
-        let files = self.own.iter().map(text).chain([(STRUCTURES.to_owned(), structures)]);
+        let files = own.iter().map(text).chain([(STRUCTURES.to_owned(), structures)]);
         write_files(&run.blueprints(), &files.collect::<Vec<_>>())?;
         Ok(())
     }

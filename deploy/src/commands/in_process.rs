@@ -1,5 +1,7 @@
 //! Worlds that step in turns with the learner, on its thread.
 
+use std::sync::Arc;
+
 use actor::{ActorSetup, Lockstep};
 use blueprints::Catalog;
 use learner::{Mailbox, Source};
@@ -16,7 +18,7 @@ pub(super) struct InProcess {
 
 impl InProcess {
     /// Creates the worlds; `catalog` has the goals.
-    pub(super) fn new(config: &Config, catalog: &'static Catalog) -> Self {
+    pub(super) fn new(config: &Config, catalog: Arc<Catalog>) -> Self {
         let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
         let worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });
         Self { worlds, restarts: false }

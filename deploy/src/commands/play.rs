@@ -26,7 +26,7 @@ const NAME: &str = "play";
 /// The goals to show.
 pub(super) struct Program {
     /// All goals that can be selected.
-    catalog: &'static Catalog,
+    catalog: Arc<Catalog>,
     /// The named goals; empty for the whole catalog.
     named: Vec<BlueprintId>,
 }
@@ -40,7 +40,7 @@ impl Program {
         let named = [&args.ids[..], &args.blueprint[..]].concat();
         let goals = Goals::open_beside(&named, args.checkpoint.as_deref())?;
         let named = goals.ids().to_vec();
-        Ok(Self { catalog: goals.into_static(), named })
+        Ok(Self { catalog: goals.catalog().clone(), named })
     }
 }
 
@@ -58,7 +58,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
     if !program.named.is_empty() {
         let ids: Vec<String> = program.named.iter().map(ToString::to_string).collect();
         let splits: Vec<String> = Split::ALL.iter().map(ToString::to_string).collect();
-        overrides.push(Override::flag("ID", "evaluator.films.blueprints", ids.clone()));
+        overrides.push(Override::flag("ID", "evaluator.videos.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
         // Regardless of what the policy was evaluated on during training.
         overrides.push(Override::flag("ID", "evaluator.selection.splits", splits));
@@ -82,8 +82,8 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let catalog = program.catalog;
-    let weights = published(source, config, catalog)?;
+    let catalog = program.catalog.clone();
+    let weights = published(source, config, &catalog)?;
     let weights = Arc::new(weights);
     let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
         page,
@@ -92,7 +92,7 @@ pub(super) async fn run(
         first: Some(weights.clone()),
     });
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, None, &Origin::default())?;
-    terminal.print(&format!("episodes and films go to {}; Ctrl-C ends", run_dir.path().display()));
+    terminal.print(&format!("episodes and videos go to {}; Ctrl-C ends", run_dir.path().display()));
     let Some(bus) = join_bus(&config.bus, &shutdown).await? else { return Ok(()) };
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
@@ -119,7 +119,6 @@ fn about(args: &PlayArgs, program: Program) -> About {
         Some(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
     };
     let Program { named: blueprints, catalog } = program;
-    let catalog = catalog.clone();
     let farewell = Farewell { ended: "the program", command: Some(command(args)) };
     About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog, farewell }
 }

@@ -38,7 +38,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     if let Some(folder) = &args.export {
         let named = Goals::open_beside(&args.blueprint, args.runs.first().map(PathBuf::as_path))?;
         let goals = recorded(named.ids(), &first.about);
-        first.about.catalog = named.into_catalog();
+        first.about.catalog = named.catalog().clone();
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Err(Failure::NothingWritten(folder.clone())),
             n_files = dashboard::export(first, others, &goals, folder) => n_files?,
@@ -97,7 +97,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     // Without weights, a browser would wait for an episode forever.
     let stage = weights.is_some().then(|| stage(config.evaluation_environment(), policy.clone(), newest));
     let n_env_steps = Some(config.n_env_steps);
-    let catalog = Goals::open_beside(&[], Some(folder))?.into_catalog();
+    let catalog = Goals::open_beside(&[], Some(folder))?.catalog().clone();
     let blueprints = config.evaluator.selection.blueprints.clone();
     let preset = preset_of(&paths);
     let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell };

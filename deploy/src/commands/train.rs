@@ -95,12 +95,14 @@ pub(super) async fn run(
 
     let mut running = JoinSet::new();
     let source: Box<dyn Source> = match config.lockstep {
-        true => Box::new(InProcess::new(config, catalog)),
+        true => Box::new(InProcess::new(config, catalog.clone())),
         false => Box::new(Arrivals::default()),
     };
     let options = services::run_options(setup, config, &run_dir, origin.checkpoint, source, told);
-    let evaluator =
-        EvaluatorSetup { catalog, ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path())) };
+    let evaluator = EvaluatorSetup {
+        catalog: catalog.clone(),
+        ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()))
+    };
     let (learned, its_summary) = oneshot::channel();
     let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
     let training = shutdown.child_token();
@@ -120,7 +122,7 @@ pub(super) async fn run(
         Ok(())
     });
     if !config.lockstep {
-        let actor = ActorSetup { catalog, ..services::actor_setup(config, id) };
+        let actor = ActorSetup { catalog: catalog.clone(), ..services::actor_setup(config, id) };
         // The learner's lines and bar count all actors.
         let told = watch::channel(None).0;
         running.spawn(services::actor(actor, bus.clone(), told, training.clone()));
