@@ -1,5 +1,7 @@
 //! Many worlds, one policy: steps all of them with one forward pass and returns finished segments.
 
+use std::sync::Arc;
+
 use blueprints::Catalog;
 use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
@@ -11,16 +13,16 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::config::BurnInConfig;
+use crate::config::WarmStartConfig;
 use crate::segment::{Cut, Identity, SegmentBuilder};
 use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
 
 /// Everything that a rollout needs besides worlds and weights.
 #[derive(Clone, Debug)]
-pub struct RolloutSetup<'c> {
+pub struct RolloutSetup {
     /// Source of goals and starts.
-    pub catalog: &'c Catalog,
+    pub catalog: Arc<Catalog>,
     /// The policy that acts.
     pub policy: PolicyConfig,
     /// Settings of policy and worlds, which must be the learner's.
@@ -30,14 +32,14 @@ pub struct RolloutSetup<'c> {
     /// Steps after which a segment is cut, at least 1.
     pub segment_len: usize,
     /// First steps of an episode, which are not learned from.
-    pub burn_in: BurnInConfig,
+    pub warm_start: WarmStartConfig,
     /// Origin of the segments.
     pub identity: Identity,
     /// Seed of tasks and actions.
     pub seed: u64,
 }
 
-impl RolloutSetup<'_> {
+impl RolloutSetup {
     /// Checks that weights are of a run with the settings of this rollout.
     ///
     /// # Errors
@@ -47,17 +49,17 @@ impl RolloutSetup<'_> {
     }
 }
 
-impl RolloutSetup<'static> {
+impl RolloutSetup {
     /// Creates the setup for an actor's rollout.
     pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
         let ActorSetup { config, policy, seed, catalog, .. } = setup;
         Self {
-            catalog,
+            catalog: catalog.clone(),
             policy: policy.clone(),
             settings: setup.settings(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
-            burn_in: config.burn_in,
+            warm_start: config.warm_start,
             identity,
             seed: *seed,
         }
@@ -66,8 +68,8 @@ impl RolloutSetup<'static> {
 
 /// Steps a batch of worlds, synchronously and without any I/O or clock. Equal seeds and weights give equal segments.
 #[derive(Debug)]
-pub struct Rollout<'c, E> {
-    setup: RolloutSetup<'c>,
+pub struct Rollout<E> {
+    setup: RolloutSetup,
     /// Hash of the setup's settings, which every segment carries.
     settings_hash: u64,
     policy: Policy,
@@ -94,8 +96,8 @@ pub struct RolloutCounters {
     pub n_diverged_episodes: u64,
     /// Dropped steps of those episodes.
     pub n_diverged_steps: u64,
-    /// Steps of burn-ins, including the last steps of episodes that end in one.
-    pub n_burn_in_steps: u64,
+    /// Steps of warm starts, including the last steps of episodes that end in one.
+    pub n_warm_start_steps: u64,
     /// Tasks that a world could not start and that were replaced.
     pub n_failed_resets: u64,
 }
@@ -119,26 +121,26 @@ pub enum RolloutError {
 struct EnvSlot {
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
-    /// Remaining burn-in steps, in which the policy acts greedily and which are not learned from.
-    n_burn_in: u16,
+    /// Remaining warm start steps, in which the policy acts greedily and which are not learned from.
+    n_warm_start: u16,
 }
 
 impl EnvSlot {
     /// Returns how the policy acts in the next step.
     fn mode(&self) -> ActionMode {
-        if self.n_burn_in == 0 { ActionMode::Sampled } else { ActionMode::Greedy }
+        if self.n_warm_start == 0 { ActionMode::Sampled } else { ActionMode::Greedy }
     }
 }
 
-impl<'c, E: Env> Rollout<'c, E> {
+impl<E: Env> Rollout<E> {
     /// Starts an episode in each of `worlds`, acting with `weights`.
     ///
     /// # Errors
     /// If the filter selects nothing, the weights do not fit the policy, or no task can be started.
-    pub fn new(setup: RolloutSetup<'c>, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
+    pub fn new(setup: RolloutSetup, worlds: Vec<E>, weights: &Weights) -> Result<Self, RolloutError> {
         setup.check(weights)?;
         let policy = Policy::with_weights(&setup.policy, weights)?;
-        let mut tasks = TaskSampler::new(&setup.tasks, setup.catalog)?;
+        let mut tasks = TaskSampler::new(&setup.tasks, &setup.catalog)?;
         tasks.follow(weights);
         let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
         let (settings_hash, counters) = (setup.settings.hash(), RolloutCounters::default());
@@ -180,16 +182,16 @@ impl<'c, E: Env> Rollout<'c, E> {
     /// Starts an episode in a world with the first task whose blocks find room, as nearly all do.
     fn begin(&mut self, row: usize, mut task_rng: ChaCha8Rng) -> Result<EnvSlot, RolloutError> {
         let setup = &self.setup;
-        let task = self.tasks.sample(setup.catalog, &mut task_rng);
+        let task = self.tasks.sample(&setup.catalog, &mut task_rng);
         let retry = |task: &mut Task, _: &ResetError| {
             self.counters.n_failed_resets += 1;
-            *task = self.tasks.sample(setup.catalog, &mut task_rng);
+            *task = self.tasks.sample(&setup.catalog, &mut task_rng);
             true
         };
-        let task = self.envs.reset(row, task, setup.catalog, retry)?;
+        let task = self.envs.reset(row, task, &setup.catalog, retry)?;
         let segment = SegmentBuilder::new(setup.segment_len, task, BehaviorPolicy::Sampled);
-        let n_burn_in = draw_burn_in(&setup.burn_in, &mut task_rng);
-        Ok(EnvSlot { task_rng, segment, n_burn_in })
+        let n_warm_start = draw_warm_start(&setup.warm_start, &mut task_rng);
+        Ok(EnvSlot { task_rng, segment, n_warm_start })
     }
 
     /// Advances every world by one step and returns the segments that this finished, in the order of the worlds and
@@ -210,9 +212,9 @@ impl<'c, E: Env> Rollout<'c, E> {
             if result.status != Status::Running {
                 ended.push(row);
             }
-            if slot.n_burn_in > 0 {
-                slot.n_burn_in -= 1;
-                self.counters.n_burn_in_steps += 1;
+            if slot.n_warm_start > 0 {
+                slot.n_warm_start -= 1;
+                self.counters.n_warm_start_steps += 1;
                 if result.status == Status::Diverged {
                     self.counters.n_diverged_episodes += 1;
                 }
@@ -220,7 +222,7 @@ impl<'c, E: Env> Rollout<'c, E> {
                     slot.segment.skip(&result.reward);
                     continue;
                 }
-                slot.segment.end_in_burn_in();
+                slot.segment.end_in_warm_start();
                 behavior_log_prob = 0.0;
             }
             let transition = Transition {
@@ -277,13 +279,13 @@ impl std::ops::AddAssign for RolloutCounters {
         self.n_successes += other.n_successes;
         self.n_diverged_episodes += other.n_diverged_episodes;
         self.n_diverged_steps += other.n_diverged_steps;
-        self.n_burn_in_steps += other.n_burn_in_steps;
+        self.n_warm_start_steps += other.n_warm_start_steps;
         self.n_failed_resets += other.n_failed_resets;
     }
 }
 
-/// Returns the length of an episode's burn-in. Draws nothing if there are no burn-ins.
-fn draw_burn_in(config: &BurnInConfig, rng: &mut ChaCha8Rng) -> u16 {
+/// Returns the length of an episode's warm start. Draws nothing if there are no warm starts.
+fn draw_warm_start(config: &WarmStartConfig, rng: &mut ChaCha8Rng) -> u16 {
     if config.probability > 0.0 && rng.random_bool(config.probability) {
         rng.random_range(1..=config.max_steps)
     } else {

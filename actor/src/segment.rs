@@ -27,8 +27,8 @@ pub struct SegmentBuilder {
     oldest_version: Option<WeightsVersion>,
     /// Index of the first collected step in its episode.
     first_step: u16,
-    /// Burn-in steps that no segment has reported yet.
-    n_burn_in_steps: u16,
+    /// Warm start steps that no segment has reported yet.
+    n_warm_start_steps: u16,
     /// Return of the whole episode so far.
     episode_return: RewardTerms,
 }
@@ -58,7 +58,7 @@ impl SegmentBuilder {
             transitions: Vec::with_capacity(segment_len),
             oldest_version: None,
             first_step: 0,
-            n_burn_in_steps: 0,
+            n_warm_start_steps: 0,
             episode_return: RewardTerms::default(),
         }
     }
@@ -68,16 +68,16 @@ impl SegmentBuilder {
         &self.task
     }
 
-    /// Counts a burn-in step at the start of the episode, which is not learned from.
+    /// Counts a warm start step at the start of the episode, which is not learned from.
     pub fn skip(&mut self, reward: &RewardTerms) {
         self.episode_return = self.episode_return + *reward;
         self.first_step = self.first_step.saturating_add(1);
-        self.n_burn_in_steps = self.n_burn_in_steps.saturating_add(1);
+        self.n_warm_start_steps = self.n_warm_start_steps.saturating_add(1);
     }
 
-    /// Ends the episode in its burn-in. The last step becomes a segment of the greedy policy, so that its outcome
+    /// Ends the episode in its warm start. The last step becomes a segment of the greedy policy, so that its outcome
     /// counts although nothing is learned from it.
-    pub fn end_in_burn_in(&mut self) {
+    pub fn end_in_warm_start(&mut self) {
         self.behavior_policy = BehaviorPolicy::Greedy;
     }
 
@@ -121,7 +121,7 @@ impl SegmentBuilder {
             task: self.task.clone(),
             behavior_policy: self.behavior_policy,
             first_step,
-            n_burn_in_steps: std::mem::take(&mut self.n_burn_in_steps),
+            n_warm_start_steps: std::mem::take(&mut self.n_warm_start_steps),
             transitions,
             last_scene: after.clone(),
             status,

@@ -92,7 +92,7 @@ pub(crate) fn trajectory() -> Trajectory {
         task: task(),
         behavior_policy: BehaviorPolicy::Sampled,
         first_step: 0,
-        n_burn_in_steps: 0,
+        n_warm_start_steps: 0,
         transitions: vec![transition],
         last_scene: scene(),
         status: Status::Running,

@@ -191,7 +191,7 @@ impl RunView {
 
     /// Returns the newest result of each blueprint for the weights of the newest evaluation. Before the first
     /// evaluation, for the newest weights that any blueprint was evaluated with.
-    pub(crate) fn judged_blueprints(&self) -> Vec<&EvalBlueprint> {
+    pub(crate) fn evaluated_blueprints(&self) -> Vec<&EvalBlueprint> {
         let newest = || self.blueprints.values().map(|blueprint| blueprint.weights_version).max();
         let version: Option<WeightsVersion> =
             self.evaluation.as_ref().map(|summary| summary.value.weights_version).or_else(newest);
@@ -252,7 +252,7 @@ impl RunView {
             "is_connected": self.link == Link::Connected,
             "learner": self.learner.as_ref().map(|heard| &heard.value),
             "evaluation": self.evaluation.as_ref().map(|heard| &heard.value),
-            "blueprints": self.judged_blueprints(),
+            "blueprints": self.evaluated_blueprints(),
             "actors": self.actors.values().filter_map(|actor| actor.metrics.as_ref()).map(|heard| &heard.value).collect::<Vec<_>>(),
             "alive": &self.roster,
         })

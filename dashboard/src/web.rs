@@ -1,7 +1,7 @@
 //! A web page about a running training: success over time, live processes, and learning metrics.
 //!
 //! Reading order: `about` (which run) → `board` (the known state) → `events` (connected browsers) → `replay`,
-//! `attention` and `films` → `stage` and `gallery` (episodes on demand) → `drawing` (user-drawn goals) → `prometheus` →
+//! `attention` and `videos` → `stage` and `gallery` (episodes on demand) → `drawing` (user-drawn goals) → `prometheus` →
 //! `routes` (endpoints and access control) → `server` (connections) → `export` (a static copy). The page never slows
 //! down the evaluator: writers to the board hold a lock only briefly, and events that a browser does not read in time
 //! are dropped and counted.
@@ -12,7 +12,6 @@ mod board;
 mod drawing;
 mod events;
 mod export;
-mod films;
 mod gallery;
 mod prometheus;
 mod query;
@@ -20,6 +19,7 @@ mod replay;
 mod routes;
 mod server;
 mod stage;
+mod videos;
 
 use std::borrow::Cow;
 use std::net::SocketAddr;
@@ -41,14 +41,14 @@ use tokio_util::sync::CancellationToken;
 use crate::config::WebConfig;
 use crate::follow::follow;
 pub use about::{About, Farewell, Kind};
-use attention::Onlooker;
+use attention::Observer;
 use board::Board;
 use events::Places;
-use films::Films;
 use replay::Replays;
 use routes::Shown;
 use runlog::{Pass, RunPaths};
 pub use stage::{Builder, Order, Stage, StageError};
+use videos::Videos;
 
 /// Longest time between two events sent to a browser.
 const BEAT: Duration = Duration::from_secs(15);
@@ -85,7 +85,7 @@ pub struct Source {
     pub weights: watch::Receiver<Option<Arc<Weights>>>,
     /// Configuration of the policy that the weights belong to.
     pub policy: PolicyConfig,
-    /// The run whose video clips are shown; `None` for no clips.
+    /// The run whose videos are shown; `None` for no videos.
     pub run: Option<RunPaths>,
     /// Summary of the run.
     pub about: About,
@@ -102,7 +102,7 @@ pub struct FinishedRun {
     pub passes: Vec<Pass>,
     /// The learner's metrics of its updates, in order.
     pub learner: Vec<LearnerMetrics>,
-    /// Its directory, for its video clips.
+    /// Its directory, for its videos.
     pub run: RunPaths,
     /// Configuration of the policy.
     pub policy: PolicyConfig,
@@ -137,11 +137,11 @@ impl Page {
         let board = Arc::new(Board::default());
         let shutdown = CancellationToken::new();
         let _ended_with_this = shutdown.clone().drop_guard();
-        let onlooker = Onlooker::new(source.policy, source.weights);
-        let replays = Arc::new(Replays::new(onlooker, source.about.catalog.clone()));
-        let films = Films::new(source.run);
+        let observer = Observer::new(source.policy, source.weights);
+        let replays = Arc::new(Replays::new(observer, source.about.catalog.clone()));
+        let videos = Videos::new(source.run);
         let shown =
-            Shown { about: source.about, board: board.clone(), replays: replays.clone(), films, stage: source.stage };
+            Shown { about: source.about, board: board.clone(), replays: replays.clone(), videos, stage: source.stage };
         let mut tasks = JoinSet::new();
         let first = shown.about.catalog.find(&shown.about.first()).map(Cow::into_owned);
         if let (Kind::Play, Some(stage), Some(first)) = (shown.about.kind, shown.stage.clone(), first) {
@@ -165,7 +165,7 @@ impl Page {
         loop {
             tokio::select! {
                 pass = source.passes.recv() => match pass {
-                    Some(pass) => board.judged(&pass),
+                    Some(pass) => board.evaluated(&pass),
                     None => break,
                 },
                 _ = beat.tick() => board.beat(),
@@ -231,11 +231,11 @@ pub async fn export(
 impl FinishedRun {
     fn into_shown(self) -> Shown {
         let board = Arc::new(Board::default());
-        self.passes.iter().for_each(|pass| board.judged(pass));
+        self.passes.iter().for_each(|pass| board.evaluated(pass));
         self.learner.iter().for_each(|learner| board.learned(learner));
         let (_, weights) = watch::channel(self.weights);
-        let replays = Arc::new(Replays::new(Onlooker::new(self.policy, weights), self.about.catalog.clone()));
-        Shown { about: self.about, board, replays, films: Films::new(Some(self.run)), stage: self.stage }
+        let replays = Arc::new(Replays::new(Observer::new(self.policy, weights), self.about.catalog.clone()));
+        Shown { about: self.about, board, replays, videos: Videos::new(Some(self.run)), stage: self.stage }
     }
 }
 

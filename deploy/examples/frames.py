@@ -1,6 +1,6 @@
-"""Decodes a film with ffmpeg and prints its frame count, width and height, and frames per second as JSON.
+"""Decodes a video with ffmpeg and prints its frame count, width and height, and frames per second as JSON.
 
-Usage: pip install imageio-ffmpeg; python frames.py films/<film>.mp4
+Usage: pip install imageio-ffmpeg; python frames.py videos/<video>.mp4
 """
 
 import json

@@ -1,6 +1,6 @@
 """Prints the animated images in TensorBoard event files as JSON: tag -> list of images with step and size.
 
-Usage: pip install tensorboard; python pictures.py runs/<run>/tb/evaluator/films
+Usage: pip install tensorboard; python pictures.py runs/<run>/tb/evaluator/videos
 """
 
 import json

@@ -4,7 +4,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use crate::exit::Failure;
 
-/// Files that a process must be allowed to open: `train` with a page has 26 open, and browsers, films, and actors that
+/// Files that a process must be allowed to open: `train` with a page has 26 open, and browsers, videos, and actors that
 /// join need more. Libraries panic where a file cannot be opened, so this is checked before they start.
 const MIN_FILES: u64 = 64;
 

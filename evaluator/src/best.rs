@@ -14,7 +14,7 @@ use crate::config::BestConfig;
 
 /// Weights and the verdict of their complete evaluation.
 #[derive(Clone, Debug)]
-pub struct Judged {
+pub struct Scored {
     /// The weights.
     pub weights: Arc<Weights>,
     /// The verdict.
@@ -37,7 +37,7 @@ pub struct Verdict {
 impl Verdict {
     /// Computes the verdict of a report. Of its blueprints, only `usual` ones count: the last evaluation of a run has
     /// more, which must not influence training.
-    pub(crate) fn of(config: &BestConfig, usual: &[&Blueprint], report: &EvalReport) -> Self {
+    pub(crate) fn of(config: &BestConfig, usual: &[Blueprint], report: &EvalReport) -> Self {
         let is_usual = |score: &&EvalBlueprint| usual.iter().any(|goal| *goal.id() == score.blueprint);
         let usual: Vec<&EvalBlueprint> = report.blueprints.iter().filter(is_usual).collect();
         let of_split = |split| usual.iter().filter(|score| score.split == split).copied().collect::<Vec<_>>();
@@ -109,7 +109,7 @@ mod tests {
     fn the_verdict_is_on_the_split_and_the_actions_that_are_asked_for_as_far_as_there_are_any() {
         use ActionMode::{Greedy, Sampled};
         let told = |usual: &[&str], episodes: &[(&str, ActionMode, bool)]| {
-            let usual: Vec<_> = usual.iter().map(|id| goal(id)).collect();
+            let usual: Vec<_> = usual.iter().map(|id| goal(id).clone()).collect();
             Verdict::of(&BestConfig::default(), &usual, &report(episodes)).to_string()
         };
         let test = Catalog::builtin().iter().find(|goal| goal.split() == Split::Test).unwrap().id().as_str();

@@ -5,6 +5,9 @@ use proto::setting::{Section, Setting, key};
 use proto::{ActionMode, InvalidSetting, settings};
 use serde::{Deserialize, Serialize};
 
+/// Minimum number of blocks of a reset-free goal (paper).
+pub(crate) const MIN_BLOCKS: usize = 12;
+
 settings! {
     /// When, on which blueprints, and how weights are evaluated.
     pub struct EvaluatorConfig {
@@ -24,8 +27,8 @@ settings! {
         pub best: BestConfig;
         /// Several goals in a row without a reset, after the episodes. Default: none.
         pub reset_free: Option<ResetFreeConfig>;
-        /// Films of some episodes. Default: one success and one failure per group.
-        pub films: FilmsConfig;
+        /// Videos of some episodes. Default: one success and one failure per group.
+        pub videos: VideosConfig;
     }
 
     /// A choice of blueprints from the catalog.
@@ -78,17 +81,17 @@ settings! {
         pub n_goals: u32 = 10, in 1..=1000;
     }
 
-    /// Which episodes of an evaluation become films: the first success and the first failure of each group and blueprint,
-    /// in the first action mode. Only an evaluator that keeps records makes films.
+    /// Which episodes of an evaluation become videos: the first success and the first failure of each group and blueprint,
+    /// in the first action mode. Only an evaluator that keeps records makes videos.
     ///
-    /// Films are on by default because numbers do not show what a policy does wrong. They cost little: two films per
+    /// Videos are on by default because numbers do not show what a policy does wrong. They cost little: two videos per
     /// group and evaluation, each about a second on one core.
     #[derive(Eq)]
-    pub struct FilmsConfig {
-        /// Groups of blueprints to film, by their names in reports.
+    pub struct VideosConfig {
+        /// Groups of blueprints to record, by their names in reports.
         pub groups: Vec<Group> = Group::ALL.to_vec(),
             where |c| are_distinct(&c.groups) => "names of groups, none twice";
-        /// Blueprints to film in addition to the groups.
+        /// Blueprints to record in addition to the groups.
         pub blueprints: Vec<BlueprintId> = Vec::new(),
             where |c| are_distinct(&c.blueprints) => "names of blueprints, none twice";
     }
@@ -192,8 +195,8 @@ impl ResetFreeConfig {
     }
 }
 
-impl FilmsConfig {
-    /// Checks that the run's catalog contains all blueprints to film.
+impl VideosConfig {
+    /// Checks that the run's catalog contains all blueprints to record.
     ///
     /// # Errors
     /// Names the first missing blueprint.
@@ -202,7 +205,7 @@ impl FilmsConfig {
         unknown.map_or(Ok(()), |id| Err(EvaluatorConfigError::UnknownBlueprint(id.clone())))
     }
 
-    /// Whether any film is requested.
+    /// Whether any video is requested.
     pub fn any(&self) -> bool {
         !(self.groups.is_empty() && self.blueprints.is_empty())
     }
@@ -223,10 +226,10 @@ mod tests {
     }
 
     #[test]
-    fn a_film_of_an_unknown_blueprint_is_refused() {
-        let films = |id: &str| FilmsConfig { blueprints: vec![id.parse().unwrap()], ..FilmsConfig::default() };
-        assert_eq!(films("2_000").check_in(Catalog::builtin()), Ok(()));
-        let error = films("2_999").check_in(Catalog::builtin()).unwrap_err().to_string();
+    fn a_video_of_an_unknown_blueprint_is_refused() {
+        let videos = |id: &str| VideosConfig { blueprints: vec![id.parse().unwrap()], ..VideosConfig::default() };
+        assert_eq!(videos("2_000").check_in(Catalog::builtin()), Ok(()));
+        let error = videos("2_999").check_in(Catalog::builtin()).unwrap_err().to_string();
         assert_eq!(error, "the catalog has no blueprint 2_999");
     }
 
@@ -268,10 +271,10 @@ mod tests {
             ),
             (
                 EvaluatorConfig {
-                    films: FilmsConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
+                    videos: VideosConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
                     ..Default::default()
                 },
-                "evaluator.films.groups = [\"train 2-6\", \"train 2-6\"]: expected names of groups, none twice",
+                "evaluator.videos.groups = [\"train 2-6\", \"train 2-6\"]: expected names of groups, none twice",
             ),
         ];
         for (config, message) in table {

@@ -3,8 +3,8 @@
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
 //! [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end) → [`table`]
-//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). [`films`]
-//! records films in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
+//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). [`videos`]
+//! records videos in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
 //! episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -14,7 +14,6 @@ pub mod config;
 pub mod endings;
 pub mod episodes;
 pub mod expert;
-pub mod films;
 mod follower;
 mod nice;
 mod performance;
@@ -30,11 +29,12 @@ mod sequences;
 pub mod setup;
 pub mod table;
 pub mod trials;
-mod vetting;
+mod validation;
+pub mod videos;
 
-pub use best::{Judged, Verdict};
+pub use best::{Scored, Verdict};
 pub use config::{
-    EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, FilmsConfig, ResetFreeConfig, Selection, Starts,
+    EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts, VideosConfig,
 };
 pub use endings::{Ending, Endings, SizeEndings};
 pub use environment::EnvironmentConfig;

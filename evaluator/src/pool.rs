@@ -138,7 +138,7 @@ mod tests {
     use super::*;
     use crate::config::EpisodeConfig;
     use crate::episodes::tests::{agent, small_setup};
-    use crate::films::EpisodeSelector;
+    use crate::videos::EpisodeSelector;
 
     /// Sequences of one or two episodes, of different goals.
     fn sequences(n: usize) -> Vec<Vec<EpisodeSpec>> {

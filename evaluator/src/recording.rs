@@ -49,7 +49,7 @@ impl Recording {
             task: task.clone(),
             behavior_policy,
             first_step: 0,
-            n_burn_in_steps: 0,
+            n_warm_start_steps: 0,
             transitions: self.transitions,
             last_scene: last.clone(),
             status,

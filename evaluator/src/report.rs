@@ -79,7 +79,7 @@ pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[
         groups: by_group.iter().map(|(group, episodes)| score_group(group.name(), episodes)).collect(),
         reset_free: None,
         bus: BusCounts::default(),
-        films: None,
+        videos: None,
     };
     EvalReport { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId};
+use blueprints::{Blueprint, BlueprintId, Catalog};
 use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use policy::Policy;
 use proto::metrics::{EvalBlueprint, EvalReport};
@@ -15,16 +15,16 @@ use runlog::{History, Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::best::{Judged, Verdict};
-use crate::config::EpisodeConfig;
+use crate::best::{Scored, Verdict};
+use crate::config::{EpisodeConfig, EvaluatorConfigError, Selection};
 use crate::episodes::evaluate_in_parts;
-use crate::films::{EpisodeSelector, VideoRecorder};
 use crate::nice::on_thread;
 use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::records::Records;
 use crate::schedule::{Due, LastEvaluation, due};
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
-use crate::vetting::vetted;
+use crate::validation::validated;
+use crate::videos::{EpisodeSelector, VideoRecorder};
 
 /// How long an evaluator waits for another one with its name to disconnect: a killed process still appears alive for up
 /// to 6 s.
@@ -40,7 +40,7 @@ pub struct Listeners {
     /// Progress of the current evaluation; `None` between evaluations.
     pub progress: Option<watch::Sender<Option<EvaluationProgress>>>,
     /// The weights of every complete evaluation with the verdict on them.
-    pub judged: Option<mpsc::UnboundedSender<Judged>>,
+    pub evaluated: Option<mpsc::UnboundedSender<Scored>>,
     /// The newest weights with which a policy can act.
     pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
 }
@@ -75,19 +75,19 @@ pub struct Stop {
 /// writes the same history.
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.validate().context("invalid evaluator configuration")?;
-    setup.config.films.check_in(setup.catalog)?;
+    setup.config.videos.check_in(&setup.catalog)?;
     let selection = [&setup.config.selection, &setup.config.last_selection()];
-    let [selected, last_selected] = selection.map(|selection| selection.select(setup.catalog));
+    let [selected, last_selected] = selection.map(|selection| goals(selection, &setup.catalog));
     let selected = Selected { usual: selected?, last: last_selected? };
     let records = setup.records.as_ref().map(Records::open).transpose()?;
     let history = past(setup.records.as_ref()).await?;
-    let films = match &setup.records {
-        Some(paths) => VideoRecorder::open(&setup.config.films, paths, setup.catalog)?,
+    let videos = match &setup.records {
+        Some(paths) => VideoRecorder::open(&setup.config.videos, paths, setup.catalog.clone())?,
         None => None,
     };
     let subscriber = bus.weights_subscriber().await?;
     let usable = listeners.weights.unwrap_or_else(|| watch::channel(None).0);
-    let (weights, _vetting) = vetted(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
+    let (weights, _validation) = validated(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
     let mut evaluations = Passes::default();
     let last = history.last().and_then(|pass| Evaluated::before(pass, &setup, &selected));
     for evaluation in history {
@@ -103,15 +103,15 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
         last: None,
         reports: listeners.reports,
         listener: listeners.evaluations,
-        judged: listeners.judged,
+        evaluated: listeners.evaluated,
         progress: listeners.progress,
-        films: films.as_ref(),
+        videos: videos.as_ref(),
     };
     let ended = evaluate_all(&setup, bus, weights, &selected, last, &mut outlets, &stop).await;
     let kept = outlets.catch_up().await;
-    if let Some(films) = films {
-        // Off the async runtime, because a frame of the current film takes a moment.
-        tokio::task::spawn_blocking(move || films.close()).await.context("the thread that closes films panicked")?;
+    if let Some(videos) = videos {
+        // Off the async runtime, because a frame of the current video takes a moment.
+        tokio::task::spawn_blocking(move || videos.close()).await.context("the thread that closes videos panicked")?;
     }
     let n_evaluations = ended?;
     kept?;
@@ -160,15 +160,15 @@ async fn evaluate_all(
         let start = Instant::now();
         last = Some(Evaluated { start, version: newest.version, n_env_steps: newest.n_env_steps, is_last });
         let (parts, mut newest_part) = watch::channel(None);
-        let films = outlets.films;
-        let selector = films.and_then(|films| films.selector(&newest, &setup.config.episodes.acting));
+        let videos = outlets.videos;
+        let selector = videos.and_then(|videos| videos.selector(&newest, &setup.config.episodes.acting));
         let (counted, progress) = watch::channel(EvaluationProgress::default());
         let (goals, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
         let evaluation = evaluate_once(setup, goals, newest.clone(), selector, parts, counted, signals);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
-            report.summary.films = films.map(VideoRecorder::counts);
+            report.summary.videos = videos.map(VideoRecorder::counts);
             report
         };
         let report = match outlets.follow(evaluation, &mut newest_part, progress, &stamp).await? {
@@ -180,7 +180,7 @@ async fn evaluate_all(
                 }
                 return Ok(n_evaluations);
             }
-            // The weights passed the vetting scene but failed on another one.
+            // The weights passed the validation scene but failed on another one.
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();
                 tracing::warn!(%error, "weights refused, the evaluation is given up");
@@ -204,9 +204,9 @@ struct Outlets<'r> {
     last: Option<EvalReport>,
     reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     listener: Option<mpsc::UnboundedSender<Pass>>,
-    judged: Option<mpsc::UnboundedSender<Judged>>,
+    evaluated: Option<mpsc::UnboundedSender<Scored>>,
     progress: Option<watch::Sender<Option<EvaluationProgress>>>,
-    films: Option<&'r VideoRecorder>,
+    videos: Option<&'r VideoRecorder>,
 }
 
 impl Outlets<'_> {
@@ -217,9 +217,9 @@ impl Outlets<'_> {
     }
 
     fn judge(&self, weights: Arc<Weights>, verdict: Verdict) {
-        if let Some(judged) = &self.judged {
+        if let Some(evaluated) = &self.evaluated {
             // The receiver may be gone.
-            drop(judged.send(Judged { weights, verdict }));
+            drop(evaluated.send(Scored { weights, verdict }));
         }
     }
 
@@ -285,7 +285,7 @@ impl Outlets<'_> {
         let Some(report) = &mut self.last else { return Ok(()) };
         // Counters of the process, which must not fall back to their values of that time.
         report.summary.bus = self.publishers.bus.counts();
-        report.summary.films = self.films.map(VideoRecorder::counts);
+        report.summary.videos = self.videos.map(VideoRecorder::counts);
         self.publishers.publish(report).await
     }
 }
@@ -293,14 +293,14 @@ impl Outlets<'_> {
 /// The blueprints to evaluate.
 struct Selected {
     /// For every evaluation except the one of the last weights.
-    usual: Vec<&'static Blueprint>,
+    usual: Vec<Blueprint>,
     /// For the last weights: `usual`, plus those of
     /// [`EvaluatorConfig::last_splits`](crate::EvaluatorConfig::last_splits).
-    last: Vec<&'static Blueprint>,
+    last: Vec<Blueprint>,
 }
 
 impl Selected {
-    fn of(&self, is_last: bool) -> &[&'static Blueprint] {
+    fn of(&self, is_last: bool) -> &[Blueprint] {
         if is_last { &self.last } else { &self.usual }
     }
 
@@ -328,7 +328,7 @@ impl Evaluated {
             ActionMode::Greedy => score.greedy.success.n_episodes,
             ActionMode::Sampled => score.sampled.success.n_episodes,
         };
-        let has = |blueprint: &&Blueprint| {
+        let has = |blueprint: &Blueprint| {
             let of_it = |score: &&EvalBlueprint| score.blueprint == *blueprint.id();
             let has_all = |score| acting.iter().all(|&acting| n_episodes_of(score, acting) == u64::from(*n_episodes));
             pass.blueprints.iter().find(of_it).is_some_and(has_all)
@@ -399,6 +399,10 @@ async fn is_known(last_weights: &mut Option<watch::Receiver<Option<Arc<Weights>>
     std::future::pending().await
 }
 
+fn goals(selection: &Selection, catalog: &Catalog) -> Result<Vec<Blueprint>, EvaluatorConfigError> {
+    Ok(selection.select(catalog)?.into_iter().cloned().collect())
+}
+
 /// Returns the milliseconds since 1970; 0 if the clock is earlier.
 fn unix_ms() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -408,30 +412,26 @@ fn unix_ms() -> u64 {
 /// Runs one evaluation on a separate thread; intermediate reports go to `parts`, its progress goes to `counted`.
 async fn evaluate_once(
     setup: &EvaluatorSetup,
-    selected: Vec<&'static Blueprint>,
+    selected: Vec<Blueprint>,
     weights: Arc<Weights>,
-    films: Option<EpisodeSelector>,
+    videos: Option<EpisodeSelector>,
     parts: watch::Sender<Option<EvalReport>>,
     counted: watch::Sender<EvaluationProgress>,
     (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
-    let eval_setup = EvalSetup {
-        catalog: setup.catalog,
-        environment: setup.environment.clone(),
-        episodes: setup.config.episodes.clone(),
-        reset_free: setup.config.reset_free.clone(),
-        n_worlds: N_WORLDS,
-        seed: setup.seed,
-    };
-    let (policy, shutdown, pulse) = (setup.policy.clone(), shutdown.clone(), pulse.clone());
+    let (setup, shutdown, pulse) = (setup.clone(), shutdown.clone(), pulse.clone());
     on_thread(move || {
+        let EvaluatorSetup { config, policy, environment, seed, catalog, .. } = setup;
+        let (episodes, reset_free) = (config.episodes, config.reset_free);
+        let eval_setup = EvalSetup { catalog: &catalog, environment, episodes, reset_free, n_worlds: N_WORLDS, seed };
         let keep_going = || {
             pulse.beat();
             !shutdown.is_cancelled()
         };
         let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
-        let (setup, observer, progress) = (&eval_setup, films.as_ref(), Some(&counted));
+        let (setup, observer, progress) = (&eval_setup, videos.as_ref(), Some(&counted));
         let pool = EvaluationPool { setup, agent: &agent, observer, progress, keep_going: &keep_going };
+        let selected: Vec<&Blueprint> = selected.iter().collect();
         evaluate_in_parts(&pool, &weights, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await

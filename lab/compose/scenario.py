@@ -67,7 +67,7 @@ class Scenario:
         check("a learner that has its steps ends and is left alone", self.finishes)
         check("every trajectory that arrived has a verdict", lambda: records.verdicts_add_up(self.lives(), 0, UNDER_WAY))
         check("no step is counted twice or lost", lambda: records.updates_add_up(self.lives()))
-        check("every checkpoint can be loaded and judged", self.checkpoints_load)
+        check("every checkpoint can be loaded and evaluated", self.checkpoints_load)
         check("the history of evaluations is whole", lambda: records.database_is_whole(self.run_folder))
 
     def lives(self) -> list[records.Life]:

@@ -120,7 +120,7 @@ def stop_saves(run: Training) -> None:
     assert not queue.is_queued(actors), "the run cannot be launched again"
     # Actors on a node that was cut off may remain until it is back.
     until("the actors are gone", 40, lambda: not run.actors_that_work())
-    assert run.judged() >= 0.0
+    assert run.evaluated() >= 0.0
 
 
 def a_time_limit_is_no_end(run: Training) -> None:
@@ -159,7 +159,7 @@ def success_is_reached(run: Training) -> None:
     jobs = [run.learner_job(), run.actor_job()]
     until("no job is left", 60, lambda: not any(map(queue.is_queued, jobs)) and not run.actors_that_work())
     assert queue.state(jobs[0]) == "COMPLETED"
-    rate = run.judged()
+    rate = run.evaluated()
     assert rate >= ENOUGH, rate
 
 

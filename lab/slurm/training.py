@@ -121,7 +121,7 @@ class Training:
         success = updates[-1]["episodes"]["success"] if updates else {"n_episodes": 0}
         return float(success["rate"]) if success["n_episodes"] >= FEW_EPISODES else 0.0
 
-    def judged(self) -> float:
+    def evaluated(self) -> float:
         """Returns the success rate of the run's policy according to `lodestone eval`."""
         report = json.loads(run([self.binary, "eval", "--checkpoint", self.run_dir, "--json"], seconds=900))
         return float(report["summary"]["all"]["greedy"]["success"]["rate"])

@@ -12,7 +12,7 @@ from .members import Member
 STEPS = 8192
 
 SETTINGS: dict[str, object] = {
-    "learner.steps_per_update": 256,
+    "learner.batch_size": 256,
     "learner.minibatch_size": 128,
     "learner.mailbox.capacity_steps": 256,
     "learner.checkpoints.every_updates": 2,
@@ -20,7 +20,7 @@ SETTINGS: dict[str, object] = {
     "actor.segment_len": 16,
     "evaluator.every.versions": 1_000_000,
     "evaluator.episodes.n_episodes": 1,
-    "evaluator.films.groups": [],
+    "evaluator.videos.groups": [],
 }
 
 LIMIT_S = 300.0

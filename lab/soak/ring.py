@@ -25,7 +25,7 @@ INGEST_QUEUE = 256
 
 # Small updates and a checkpoint after every second one, so that kills hit many of them.
 SETTINGS: dict[str, object] = {
-    "learner.steps_per_update": 256,
+    "learner.batch_size": 256,
     "learner.minibatch_size": 128,
     "learner.mailbox.capacity_steps": 256,
     "learner.checkpoints.every_updates": 2,
@@ -34,10 +34,10 @@ SETTINGS: dict[str, object] = {
     "actor.segment_len": SEGMENT_LEN,
     "actor.backlog_limit": BACKLOG,
     "actor.full_backlog": "drop-oldest",
-    "actor.burn_in.probability": 0.0,
+    "actor.warm_start.probability": 0.0,
     "evaluator.every.versions": 10,
     "evaluator.episodes.n_episodes": 2,
-    "evaluator.films.groups": [],
+    "evaluator.videos.groups": [],
 }
 
 BACK_S = 60.0

@@ -105,7 +105,7 @@ impl Ring {
             ..config.bus.clone()
         };
         let sink = SinkPlan {
-            steps_per_update: config.learner.steps_per_update,
+            batch_size: config.learner.batch_size,
             n_parameters: args.weights_bytes.map(|bytes| bytes as usize / size_of::<f32>()),
             publish_every_ms: (args.weights_every * 1000.0) as u64,
         };

@@ -38,8 +38,8 @@ const MAX_GRIPPER_RADPS: f32 = 53.7;
 pub struct ActingLimits {
     /// Longest episode in steps.
     pub episode_steps: u16,
-    /// Longest burn-in in steps, 0 without burn-ins. Its steps count for the run's schedules and for its end.
-    pub burn_in_steps: u16,
+    /// Longest warm start in steps, 0 without warm starts. Its steps count for the run's schedules and for its end.
+    pub warm_start_steps: u16,
     /// Whether episodes begin with another blueprint built.
     pub has_prebuilt_starts: bool,
     /// Whether episodes begin near the goal.
@@ -49,7 +49,7 @@ pub struct ActingLimits {
 impl Default for ActingLimits {
     /// Returns the limits of all settings.
     fn default() -> Self {
-        Self { episode_steps: 1000, burn_in_steps: 1000, has_prebuilt_starts: true, has_near_goal_starts: true }
+        Self { episode_steps: 1000, warm_start_steps: 1000, has_prebuilt_starts: true, has_near_goal_starts: true }
     }
 }
 
@@ -149,23 +149,25 @@ impl Admission {
         }
     }
 
-    /// Checks what the run's actors do: how long episodes and burn-ins are, and who acts.
+    /// Checks what the run's actors do: how long episodes and warm starts are, and who acts.
     fn check_acting(&self, trajectory: &Trajectory) -> Result<(), String> {
-        let ActingLimits { episode_steps, burn_in_steps, .. } = self.acting;
+        let ActingLimits { episode_steps, warm_start_steps, .. } = self.acting;
         let n_steps = usize::from(trajectory.first_step) + trajectory.transitions.len();
         if n_steps > usize::from(episode_steps) {
             return Err(format!("{n_steps} steps are more than an episode of this run has, {episode_steps}"));
         }
-        let n_burn_in_steps = trajectory.n_burn_in_steps;
-        if n_burn_in_steps > burn_in_steps {
+        let n_warm_start_steps = trajectory.n_warm_start_steps;
+        if n_warm_start_steps > warm_start_steps {
             return Err(format!(
-                "a burn-in of {n_burn_in_steps} steps is longer than any of this run, {burn_in_steps}"
+                "a warm start of {n_warm_start_steps} steps is longer than any of this run, {warm_start_steps}"
             ));
         }
         match trajectory.behavior_policy {
             BehaviorPolicy::Sampled => Ok(()),
-            BehaviorPolicy::Greedy if burn_in_steps > 0 => Ok(()),
-            BehaviorPolicy::Greedy => Err("no greedy policy acts in this run, because it has no burn-ins".to_owned()),
+            BehaviorPolicy::Greedy if warm_start_steps > 0 => Ok(()),
+            BehaviorPolicy::Greedy => {
+                Err("no greedy policy acts in this run, because it has no warm starts".to_owned())
+            }
             BehaviorPolicy::Expert => Err("no expert acts in a training run".to_owned()),
         }
     }
@@ -386,7 +388,7 @@ mod tests {
         type Spoil = fn(&mut Trajectory);
         let acting = ActingLimits {
             episode_steps: 100,
-            burn_in_steps: 60,
+            warm_start_steps: 60,
             has_prebuilt_starts: false,
             has_near_goal_starts: false,
         };
@@ -399,10 +401,10 @@ mod tests {
         let cases: [(Spoil, &str); 6] = [
             (|t| t.first_step = 99, "101 steps are more than an episode of this run has, 100"),
             (
-                |t| (t.first_step, t.n_burn_in_steps) = (61, 61),
-                "a burn-in of 61 steps is longer than any of this run, 60",
+                |t| (t.first_step, t.n_warm_start_steps) = (61, 61),
+                "a warm start of 61 steps is longer than any of this run, 60",
             ),
-            (|t| t.n_burn_in_steps = 999, "a burn-in of 999 steps is longer than any of this run, 60"),
+            (|t| t.n_warm_start_steps = 999, "a warm start of 999 steps is longer than any of this run, 60"),
             (|t| t.behavior_policy = BehaviorPolicy::Expert, "no expert acts in a training run"),
             (
                 |t| t.task.start = Start::Prebuilt("2_001".parse().unwrap()),
@@ -416,13 +418,13 @@ mod tests {
             assert_eq!(rules.check(&spoilt), Err(message.to_owned()));
         }
         let mut longest = trajectory(2, 5);
-        (longest.first_step, longest.n_burn_in_steps, longest.behavior_policy) = (60, 60, BehaviorPolicy::Greedy);
+        (longest.first_step, longest.n_warm_start_steps, longest.behavior_policy) = (60, 60, BehaviorPolicy::Greedy);
         assert_eq!(rules.check(&longest), Ok(()));
-        let without = ActingLimits { burn_in_steps: 0, ..acting };
+        let without = ActingLimits { warm_start_steps: 0, ..acting };
         let rules = rules_of(without);
         let mut greedy = trajectory(2, 5);
         greedy.behavior_policy = BehaviorPolicy::Greedy;
-        let reason = "no greedy policy acts in this run, because it has no burn-ins";
+        let reason = "no greedy policy acts in this run, because it has no warm starts";
         assert_eq!(rules.check(&greedy), Err(reason.to_owned()));
     }
 }

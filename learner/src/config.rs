@@ -19,11 +19,11 @@ settings! {
     /// Settings of the learner. The defaults follow published PPO practice for long-horizon manipulation.
     pub struct LearnerConfig in "learner", check mailbox_holds_an_update {
         /// Environment steps that one update consumes.
-        pub steps_per_update: usize = 8192, in 256..=1_048_576;
+        pub batch_size: usize = 8192, in 256..=1_048_576;
         /// Samples per gradient step. All minibatches of an epoch have about the same size, so each may be larger by a
         /// share of the remainder.
         pub minibatch_size: usize = 1024,
-            where |c| (1..=c.steps_per_update).contains(&c.minibatch_size) => "1..=steps_per_update";
+            where |c| (1..=c.batch_size).contains(&c.minibatch_size) => "1..=batch_size";
         /// Threads that pass pieces through the network; `None` means one per core on a CPU, or one in total with a
         /// GPU. Results do not depend on the number of threads.
         pub n_threads: Option<usize> = None, in 1..=256;
@@ -32,7 +32,7 @@ settings! {
         /// Discount γ per step.
         pub gamma: f32 = 0.99, in 0.0..=1.0;
         /// GAE's λ.
-        pub lambda: f32 = 0.95, in 0.0..=1.0;
+        pub gae_lambda: f32 = 0.95, in 0.0..=1.0;
         /// Treats the time limit as a deadline: the return ends there, without the critic's value of the last scene.
         pub deadline: bool = false;
         /// PPO loss.
@@ -56,13 +56,13 @@ settings! {
         /// Initial learning rate.
         pub learning_rate: f32 = 3e-4, in above(0.0);
         /// How the learning rate changes.
-        pub rate_rule: RateRule;
+        pub lr_schedule: LrSchedule;
         /// Gradients with a larger global norm are scaled down to this norm.
         pub max_grad_norm: f32 = 0.5, in above(0.0);
     }
 
     /// How the learning rate changes from update to update.
-    pub enum RateRule = Adaptive {
+    pub enum LrSchedule = Adaptive {
         /// Stays constant.
         Fixed(FixedRate),
         /// Adapts to the KL divergence of the updates.
@@ -96,7 +96,7 @@ settings! {
 
     /// Settings of the trajectory mailbox.
     pub struct MailboxConfig {
-        /// Number of waiting steps at which the mailbox is full; at least `steps_per_update`.
+        /// Number of waiting steps at which the mailbox is full; at least `batch_size`.
         pub capacity_steps: usize = 16384;
         /// Trajectories are dropped if their weights are more than this many versions old.
         pub max_policy_lag: u64 = 4, in 0..=1000;
@@ -128,13 +128,13 @@ impl Section for RateLine {
 impl LearnerConfig {
     /// Returns the estimator of advantages.
     pub fn estimator(&self) -> Box<dyn Estimator> {
-        Box::new(Gae { gamma: self.gamma, lambda: self.lambda })
+        Box::new(Gae { gamma: self.gamma, lambda: self.gae_lambda })
     }
 
     fn mailbox_holds_an_update(&self, path: &str) -> Result<(), InvalidSetting> {
         let capacity = self.mailbox.capacity_steps;
         let key = format_args!("{path}.mailbox.capacity_steps");
-        InvalidSetting::check(key, capacity, capacity >= self.steps_per_update, "at least steps_per_update")
+        InvalidSetting::check(key, capacity, capacity >= self.batch_size, "at least batch_size")
     }
 }
 
@@ -156,14 +156,11 @@ mod tests {
         type Spoil = fn(&mut LearnerConfig);
         let cases: [(Spoil, &str); 8] = [
             (|c| c.gamma = 1.5, "learner.gamma = 1.5: expected 0..=1"),
-            (|c| c.lambda = f32::NAN, "learner.lambda = NaN: expected 0..=1"),
+            (|c| c.gae_lambda = f32::NAN, "learner.gae_lambda = NaN: expected 0..=1"),
             (|c| c.n_epochs = 0, "learner.n_epochs = 0: expected 1..=32"),
-            (|c| c.minibatch_size = 9000, "learner.minibatch_size = 9000: expected 1..=steps_per_update"),
-            (|c| c.loss.clip = 0.0, "learner.loss.clip = 0: expected above 0 and at most 1"),
-            (
-                |c| c.mailbox.capacity_steps = 1,
-                "learner.mailbox.capacity_steps = 1: expected at least steps_per_update",
-            ),
+            (|c| c.minibatch_size = 9000, "learner.minibatch_size = 9000: expected 1..=batch_size"),
+            (|c| c.loss.clip_range = 0.0, "learner.loss.clip_range = 0: expected above 0 and at most 1"),
+            (|c| c.mailbox.capacity_steps = 1, "learner.mailbox.capacity_steps = 1: expected at least batch_size"),
             (|c| c.checkpoints.keep = 0, "learner.checkpoints.keep = 0: expected at least 1"),
             (
                 |c| c.optimizer.learning_rate = f32::INFINITY,

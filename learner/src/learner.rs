@@ -19,7 +19,7 @@ use crate::adam::{Adam, LearningRate};
 use crate::admission::{ActingLimits, Admission};
 use crate::batch::Batch;
 use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
-use crate::config::{LearnerConfig, OptimizerConfig, RateRule};
+use crate::config::{LearnerConfig, LrSchedule, OptimizerConfig};
 use crate::curriculum::Curriculum;
 use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
@@ -255,7 +255,7 @@ impl Learner {
 
     /// Returns whether the mailbox holds enough steps for an update.
     pub fn ready(&self) -> bool {
-        self.mailbox.n_steps() >= self.setup.config.steps_per_update
+        self.mailbox.n_steps() >= self.setup.config.batch_size
     }
 
     /// Records how episodes ended.
@@ -285,7 +285,7 @@ impl Learner {
     pub(crate) fn take_back(&mut self, (trained, state): (Trained, LearnerState)) {
         self.ppo.restore_trained(trained);
         let mut learning_rate = state.learning_rate;
-        if let RateRule::Adaptive(rule) = &self.setup.config.optimizer.rate_rule {
+        if let LrSchedule::Adaptive(rule) = &self.setup.config.optimizer.lr_schedule {
             learning_rate = learning_rate.adapted(f32::INFINITY, rule);
         }
         self.state = LearnerState { rng: self.state.rng.clone(), learning_rate, ..state };
@@ -348,7 +348,7 @@ impl Learner {
     /// limit. Generation takes time, so it happens here, after every other check and off the bus's threads.
     pub(crate) fn with_usable_goals(&mut self, mut trajectories: Vec<Trajectory>) -> Vec<Trajectory> {
         let catalog = &self.setup.catalog;
-        let mut n_blocks_left = GENERATED_BLOCKS_PER_STEP * self.setup.config.steps_per_update;
+        let mut n_blocks_left = GENERATED_BLOCKS_PER_STEP * self.setup.config.batch_size;
         let mut usable: BTreeMap<BlueprintId, bool> = BTreeMap::new();
         let n_before = trajectories.len();
         trajectories.retain(|trajectory| {
@@ -405,16 +405,16 @@ impl Learner {
 /// Returns the learning rate of a resumed run: another initial rate takes effect, and so do other bounds.
 fn resumed_rate(saved: &LearnerState, config: &OptimizerConfig) -> LearningRate {
     let is_new = saved.initial_rate.is_some_and(|rate| rate != config.learning_rate);
-    match &config.rate_rule {
+    match &config.lr_schedule {
         _ if is_new => LearningRate(config.learning_rate),
-        RateRule::Adaptive(rule) => LearningRate(saved.learning_rate.0.clamp(rule.min, rule.max)),
-        RateRule::Fixed(_) | RateRule::Line(_) => saved.learning_rate,
+        LrSchedule::Adaptive(rule) => LearningRate(saved.learning_rate.0.clamp(rule.min, rule.max)),
+        LrSchedule::Fixed(_) | LrSchedule::Line(_) => saved.learning_rate,
     }
 }
 
-/// Returns the number of environment steps that a trajectory accounts for: its own and those of its episode's burn-in.
+/// Returns the number of environment steps that a trajectory accounts for: its own and those of its episode's warm start.
 pub(crate) fn n_env_steps(trajectory: &Trajectory) -> u64 {
-    trajectory.transitions.len() as u64 + u64::from(trajectory.n_burn_in_steps)
+    trajectory.transitions.len() as u64 + u64::from(trajectory.n_warm_start_steps)
 }
 
 /// Returns a goal's number of blocks. The id of a generated goal contains it, so the goal is not generated.

@@ -35,11 +35,6 @@ mod tests;
 pub mod train;
 mod trial;
 
-/// The examples of the page for contributors.
-#[cfg(doctest)]
-#[doc = include_str!("../../CONTRIBUTING.md")]
-struct Contributing;
-
 pub use admission::{ActingLimits, Admission};
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::LearnerConfig;

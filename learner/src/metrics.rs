@@ -40,7 +40,7 @@ pub struct UpdateMetrics {
     pub refused_total: u64,
     /// Why this update was taken back; `None` if its weights are in force.
     pub refused: Option<String>,
-    /// Environment steps of this update: the samples, and the burn-ins before them.
+    /// Environment steps of this update: the samples, and the warm starts before them.
     pub n_steps: u64,
     /// PPO metrics.
     pub ppo: PpoMetrics,

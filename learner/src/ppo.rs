@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
-use crate::config::{LearnerConfig, Objective, RateRule};
+use crate::config::{LearnerConfig, LrSchedule, Objective};
 use crate::draws;
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance, importance_ratios};
@@ -146,11 +146,11 @@ impl Ppo {
 
     /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse).
     pub(crate) fn update(&mut self, batch: &mut Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> Learned {
-        match &config.optimizer.rate_rule {
+        match &config.optimizer.lr_schedule {
             // A resumed run may have been given another rate.
-            RateRule::Fixed(_) => progress.learning_rate.0 = config.optimizer.learning_rate,
-            RateRule::Line(line) => progress.learning_rate.0 = line.points.at(progress.n_env_steps),
-            RateRule::Adaptive(_) => {}
+            LrSchedule::Fixed(_) => progress.learning_rate.0 = config.optimizer.learning_rate,
+            LrSchedule::Line(line) => progress.learning_rate.0 = line.points.at(progress.n_env_steps),
+            LrSchedule::Adaptive(_) => {}
         }
         if batch.n_samples() > 0 {
             return self.update_with(batch, config, progress);
@@ -199,7 +199,7 @@ impl Ppo {
             moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
         }
         moved.approx_kl = self.divergence(batch, targets.reference, config);
-        if let RateRule::Adaptive(rule) = &config.optimizer.rate_rule {
+        if let LrSchedule::Adaptive(rule) = &config.optimizer.lr_schedule {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
         let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
@@ -258,7 +258,7 @@ impl Ppo {
             }
             self.workers.reuse(gradient);
         }
-        RatioStatistics::new(&log_probs, targets.reference, config.loss.clip)
+        RatioStatistics::new(&log_probs, targets.reference, config.loss.clip_range)
     }
 
     /// Estimates KL(reference ‖ policy) for the current policy from evenly spaced samples, nats.
@@ -267,7 +267,7 @@ impl Ppo {
         let rows: Vec<usize> = (0..n_samples).step_by(n_samples.div_ceil(KL_SAMPLES).max(1)).collect();
         let log_probs = self.workers.log_probs(batch, &rows);
         let reference: Vec<f32> = rows.iter().map(|&row| reference[row]).collect();
-        RatioStatistics::new(&log_probs, &reference, config.loss.clip).approx_kl
+        RatioStatistics::new(&log_probs, &reference, config.loss.clip_range).approx_kl
     }
 
     /// Takes one gradient step, unless the gradient is not finite; returns whether it was taken.

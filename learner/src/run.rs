@@ -86,7 +86,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         checkpoints: setup.config.checkpoints.clone(),
         saving: Saving::default(),
         save_retry,
-        steps_per_update: setup.config.steps_per_update,
+        batch_size: setup.config.batch_size,
         max_env_steps,
         publications,
         told,

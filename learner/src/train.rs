@@ -126,7 +126,7 @@ impl Learner {
 
     /// Runs one [update](Self::update) on the oldest trajectories of the mailbox; `None` if there are not enough.
     pub fn update_from_mailbox(&mut self) -> Option<UpdateMetrics> {
-        self.update(self.mailbox.take(self.setup.config.steps_per_update))
+        self.update(self.mailbox.take(self.setup.config.batch_size))
     }
 
     pub(crate) fn batch(&self, trajectories: Vec<Trajectory>) -> Batch {

@@ -24,7 +24,7 @@ pub struct LearnerMetrics {
     pub n_updates: u64,
     /// Environment steps consumed so far.
     pub n_env_steps: u64,
-    /// Environment steps of this update: the samples, and the burn-ins before them.
+    /// Environment steps of this update: the samples, and the warm starts before them.
     #[serde(default)]
     pub n_update_steps: u64,
     /// Episodes that ended so far.
@@ -295,14 +295,14 @@ pub struct EvalSummary {
     pub reset_free: Option<EvalResetFree>,
     /// Messages dropped by the bus.
     pub bus: BusCounts,
-    /// Films of episodes; `null` if not requested.
+    /// Videos of episodes; `null` if not requested.
     #[serde(default)]
-    pub films: Option<FilmCounts>,
+    pub videos: Option<VideoCounts>,
 }
 
-/// Films of an evaluator since its start. Most films of an evaluation are written after its summary.
+/// Videos of an evaluator since its start. Most videos of an evaluation are written after its summary.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FilmCounts {
+pub struct VideoCounts {
     /// Files written.
     pub written_total: u64,
     /// Episodes waiting to be rendered.
@@ -313,7 +313,7 @@ pub struct FilmCounts {
     pub failed_total: u64,
     /// Episodes that were requested but not recorded, because too many recordings were in progress.
     pub unrecorded_total: u64,
-    /// Small films omitted from TensorBoard because they were too large.
+    /// Small videos omitted from TensorBoard because they were too large.
     pub oversized_total: u64,
 }
 

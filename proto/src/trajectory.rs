@@ -125,7 +125,7 @@ pub struct Trajectory {
     pub first_step: u16,
     /// Steps before the first transition that are in no segment, because they are not used for learning. Nonzero only
     /// in an episode's first segment.
-    pub n_burn_in_steps: u16,
+    pub n_warm_start_steps: u16,
     /// At least one step.
     pub transitions: Vec<Transition>,
     /// Scene after the last action.

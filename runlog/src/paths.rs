@@ -69,13 +69,13 @@ impl RunPaths {
         self.0.join("eval.db")
     }
 
-    /// Returns the folder of video clips, with a subfolder for each blueprint; see
-    /// [`ClipStore`](crate::clips::ClipStore).
+    /// Returns the folder of videos, with a subfolder for each blueprint; see
+    /// [`VideoStore`](crate::videos::VideoStore).
     pub fn videos(&self) -> PathBuf {
         self.0.join("videos")
     }
 
-    /// Returns the folder of the recordings that clips are made from, organized in the same way.
+    /// Returns the folder of the recordings that videos are made from, organized in the same way.
     pub fn replays(&self) -> PathBuf {
         self.0.join("replays")
     }

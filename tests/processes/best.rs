@@ -34,9 +34,9 @@ fn a_run_keeps_the_best_policy_of_its_evaluations() {
     let folder = tempfile::tempdir().unwrap();
     let run = trained(folder.path());
     let passes = History::read(&run.history()).unwrap();
-    let judged = passes.iter().filter(|pass| pass.n_env_steps > 0 && n_successes(pass) > 0);
+    let evaluated = passes.iter().filter(|pass| pass.n_env_steps > 0 && n_successes(pass) > 0);
     // Of equal ones, this is the last.
-    let best = judged.max_by_key(|pass| n_successes(pass)).map(|pass| pass.n_env_steps);
+    let best = evaluated.max_by_key(|pass| n_successes(pass)).map(|pass| pass.n_env_steps);
     assert_eq!(Model::read(&run.best()).ok().map(|model| model.weights.n_env_steps), best);
 }
 
@@ -71,10 +71,10 @@ fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes
     assert_eq!(export(&format!("run/checkpoints/step-{newest}")).0, Some(newest));
 
     let eval = ["eval", "--checkpoint", "run", "--episodes", "1", "--blueprint", "2_000", "--json"];
-    let judged = lodestone(folder.path()).args(eval).output().unwrap();
-    let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+    let evaluated = lodestone(folder.path()).args(eval).output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&evaluated.stdout).unwrap();
     assert_eq!(report["summary"]["n_env_steps"], 77);
-    assert!(String::from_utf8_lossy(&judged.stderr).contains(said));
+    assert!(String::from_utf8_lossy(&evaluated.stderr).contains(said));
 
     let mut playing = lodestone(folder.path());
     let playing = playing.args(["play", "--checkpoint", "run", "2_000", "--episodes", "1"]);

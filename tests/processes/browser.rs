@@ -30,7 +30,7 @@ const IS_ESTIMATED: &str = "document.querySelector('#tiles').textContent.include
 fn enabled(browser: &Browser) -> Vec<String> {
     let all =
         "[...document.querySelectorAll(`#stage-bar button, #stage-bar input, #replay-ask, #draw-open, #draw-policy,
-        #draw-expert, #draw-match, #draw-file, #draw-copy, #films button`)]";
+        #draw-expert, #draw-match, #draw-file, #draw-copy, #videos button`)]";
     let ids = browser.run(&format!("return {all}.filter((one) => !one.matches(':disabled')).map((one) => one.id)"));
     serde_json::from_value(ids).unwrap()
 }
@@ -65,7 +65,7 @@ impl Watched {
     }
 
     /// Waits for the page to show an evaluation of weights newer than `version`; returns their version.
-    fn judged_after(&self, version: u64) -> u64 {
+    fn evaluated_after(&self, version: u64) -> u64 {
         let shown = "Number((/weights (\\d+)/.exec(document.querySelector('#groups caption')?.textContent) || [])[1])";
         self.browser.until(&format!("({shown}) > {version} && ({shown})")).as_u64().unwrap()
     }
@@ -100,7 +100,7 @@ fn percent(rate: f64) -> String {
 fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;
-    let first = watched.judged_after(0);
+    let first = watched.evaluated_after(0);
     let loaded = "[...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')]
         .filter((entry) => !entry.name.includes('/api/')).map((entry) => entry.transferSize)";
     let sizes: Vec<u64> = serde_json::from_value(browser.run(&format!("return {loaded}"))).unwrap();
@@ -110,7 +110,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
 
     // A newer evaluation appears in the same document: a reload would lose the mark.
     browser.run("window.mark = true");
-    watched.judged_after(first);
+    watched.evaluated_after(first);
     assert_eq!(browser.run("return window.mark"), true);
 
     // Read everything in one script, because the next evaluation may arrive at any time.
@@ -142,7 +142,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
     let requests = watched.requests();
     let origin = format!("http://{}/", watched.line.address());
-    // The browser's own pages and pictures, such as its first tab and the controls of films, cause no network traffic.
+    // The browser's own pages and pictures, such as its first tab and the controls of videos, cause no network traffic.
     let is_own = |url: &str| ["data:", "chrome:", "chrome-untrusted:"].iter().any(|scheme| url.starts_with(scheme));
     let is_elsewhere = |url: &&String| !url.starts_with(&origin) && !is_own(url);
     let elsewhere: Vec<_> = requests.iter().filter(is_elsewhere).collect();
@@ -335,11 +335,11 @@ fn what_is_drawn_is_checked_and_built() {
 }
 
 #[test]
-fn a_film_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
+fn a_video_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;
-    browser.until("document.querySelector('#films figure:first-child button')");
-    browser.element("#films figure:first-child button").click();
+    browser.until("document.querySelector('#videos figure:first-child button')");
+    browser.element("#videos figure:first-child button").click();
     browser.until("!document.querySelector('#replay-player').hidden");
     browser.run("replay.play(false)");
     assert!(browser.text("#replay-note").starts_with("2_000, "), "{}", browser.text("#replay-note"));
@@ -376,7 +376,7 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     let browser = &watched.browser;
     let state = |text: &str| browser.until(&format!("document.querySelector('#state').textContent === {text:?}"));
     state("live");
-    let before = watched.judged_after(0);
+    let before = watched.evaluated_after(0);
     browser.until(IS_ESTIMATED);
     assert_eq!(watched.complaints(), Vec::<Value>::new());
     browser.run("window.mark = true");
@@ -395,7 +395,7 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     assert_eq!(browser.run("return document.querySelector('#farewell').hidden"), true);
     assert!(enabled(browser).contains(&"replay-ask".to_owned()));
     browser.until(IS_ESTIMATED);
-    watched.judged_after(before);
+    watched.evaluated_after(before);
     assert_eq!(browser.run("return window.mark"), true);
     // The browser itself logs what it could not load; the page must not log anything else.
     let complaints = watched.complaints();
@@ -406,7 +406,7 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
 fn a_page_says_that_its_run_has_ended_and_how_to_see_it_again() {
     let Some(mut watched) = Watched::start() else { return };
     let browser = &watched.browser;
-    watched.judged_after(0);
+    watched.evaluated_after(0);
     browser.until(IS_ESTIMATED);
     interrupt(&watched.run);
     browser.until("document.querySelector('#state').textContent === 'ended'");
@@ -441,7 +441,7 @@ fn a_page_says_that_its_run_has_ended_and_how_to_see_it_again() {
 fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;
-    watched.judged_after(0);
+    watched.evaluated_after(0);
     browser.element("#replay-ask").click();
     browser.until("!document.querySelector('#replay-player').hidden");
     browser.element("#draw-open").click();

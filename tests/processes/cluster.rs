@@ -68,8 +68,8 @@ impl Cluster {
 
     /// Success rate of the newest checkpoint with greedy actions, from starts near the goal.
     fn success_rate(&self) -> f64 {
-        let judged = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
-        let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+        let evaluated = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&evaluated.stdout).unwrap();
         report["summary"]["all"]["greedy"]["success"]["rate"].as_f64().unwrap()
     }
 
@@ -89,7 +89,7 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     let cluster = Cluster::start();
     let mut first = cluster.member("actor", &["--id", "first"]);
     let _second = cluster.member("actor", &["--id", "second"]);
-    let mut evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let mut evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
     let saved = cluster.learn(["--run-dir", "run"], 2048);
     let untrained = cluster.success_rate();
 
@@ -126,7 +126,7 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     let lines = BufReader::new(evaluator.0.stdout.take().unwrap()).lines();
     let report = lines.map(Result::unwrap).find(|line| line.starts_with("weights"));
     assert!(report.is_some(), "the evaluator printed no report");
-    assert!(cluster.folder.path().join("judged/metrics.jsonl").is_file());
+    assert!(cluster.folder.path().join("evaluated/metrics.jsonl").is_file());
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let Some(python) = python() else { return };
     let cluster = Cluster::start();
     let _actor = cluster.member("actor", &[]);
-    let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let _evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
     cluster.learn(["--run-dir", "run"], 2048);
 
     let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--once"]);
@@ -164,7 +164,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
         same
     };
     let version = |line: &serde_json::Value| line["weights_version"] == told["weights_version"];
-    assert_eq!(told, record("eval/summary", "judged/metrics.jsonl", &version));
+    assert_eq!(told, record("eval/summary", "evaluated/metrics.jsonl", &version));
     assert!(told["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
 
     let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--history"]);
@@ -180,9 +180,9 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
     let update = record("learner", "run/metrics.jsonl", &|line| line["n_env_steps"] == *step);
     same(entropy, &update["ppo"]["entropy"]);
-    let plotted = told_by(&python, "scalars.py", &[&path("judged/tb/evaluator")]);
+    let plotted = told_by(&python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
     let [step, success] = [0, 1].map(|i| &plotted["success-greedy/all"][0][i]);
-    let summary = record("eval/summary", "judged/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    let summary = record("eval/summary", "evaluated/metrics.jsonl", &|line| line["n_env_steps"] == *step);
     same(success, &summary["all"]["greedy"]["success"]["rate"]);
 }
 
@@ -191,7 +191,7 @@ fn trackers_are_told_what_was_recorded() {
     let Some(python) = python() else { return };
     let cluster = Cluster::start();
     let _actor = cluster.member("actor", &[]);
-    let _evaluator = cluster.member("evaluator", &["--run-dir", "judged"]);
+    let _evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
     let saved = cluster.learn(["--run-dir", "run"], 2048);
     let repository = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let store = cluster.folder.path().join("store");

@@ -52,12 +52,13 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     assert_eq!(options, serde_json::json!(["first", "second"]));
     // One curve per run, in one plot.
     browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
-    // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is filmed.
-    let films: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/films").1).unwrap();
-    let filmed = &films["films"][0]["weights_version"];
-    assert!(filmed.is_u64(), "{films}");
-    browser.until(&format!("heat.rows.length === 1 && heat.passes.some((pass) => pass.weights_version === {filmed})"));
-    let column = format!("heat.passes.findIndex((pass) => pass.weights_version === {filmed})");
+    // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is recorded.
+    let videos: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/videos").1).unwrap();
+    let recorded = &videos["videos"][0]["weights_version"];
+    assert!(recorded.is_u64(), "{videos}");
+    browser
+        .until(&format!("heat.rows.length === 1 && heat.passes.some((pass) => pass.weights_version === {recorded})"));
+    let column = format!("heat.passes.findIndex((pass) => pass.weights_version === {recorded})");
     browser.run(&format!("heat.move({{ row: 0, column: {column} }}); heat.open()"));
     browser.until("!document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));

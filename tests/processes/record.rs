@@ -24,7 +24,7 @@ fn a_recording_has_the_episodes_that_were_asked_for_and_can_be_shown() {
     let output = record();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let said = String::from_utf8(output.stdout).unwrap();
-    assert_eq!(said, "4 episodes\nlodestone render played/*.trajectory --out films\n");
+    assert_eq!(said, "4 episodes\nlodestone render played/*.trajectory --out videos\n");
     let ids = ["00000-2_000", "00001-3_000", "00002-2_000", "00003-3_000"];
     assert_eq!(names(&folder.path().join("played")), ids.map(|id| format!("{id}.trajectory")));
 

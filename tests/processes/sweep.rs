@@ -10,7 +10,7 @@ use crate::support::served::{Process, interrupt};
 
 /// Settings of a training that takes a moment.
 const SMALL: [&str; 10] = [
-    "learner.steps_per_update=256",
+    "learner.batch_size=256",
     "learner.minibatch_size=256",
     "learner.n_epochs=1",
     "actor.n_worlds=8",
@@ -19,7 +19,7 @@ const SMALL: [&str; 10] = [
     "evaluator.episodes.acting=[\"greedy\"]",
     "policy.network.width=16",
     "policy.network.value_hidden=[16]",
-    "evaluator.films.groups=[]",
+    "evaluator.videos.groups=[]",
 ];
 
 fn sweep(folder: &Path, args: &[&str]) -> Command {

@@ -9,7 +9,7 @@ use crate::support::program::{lodestone, n_saved_steps};
 /// Settings small enough to run in seconds: updates of 256 steps, each of which is saved.
 const SMALL: [&str; 18] = [
     "--set",
-    "learner.steps_per_update=256",
+    "learner.batch_size=256",
     "--set",
     "learner.minibatch_size=256",
     "--set",
@@ -35,7 +35,7 @@ fn finished(command: &mut Command) -> Output {
 }
 
 #[test]
-fn a_run_is_saved_judged_and_continued() {
+fn a_run_is_saved_evaluated_and_continued() {
     let folder = tempfile::tempdir().unwrap();
     let run_dir = folder.path().join("run");
     let trained = finished(lodestone(folder.path()).args(["train", "--run-dir", "run", "--steps", "512"]).args(SMALL));
@@ -46,14 +46,14 @@ fn a_run_is_saved_judged_and_continued() {
         assert!(run_dir.join(file).is_file(), "{file}");
     }
     let passes = runlog::History::read(&runlog::RunPaths::new(&run_dir).history()).unwrap();
-    assert_eq!(passes.last().unwrap().n_env_steps, n_steps, "the last weights were judged as well");
+    assert_eq!(passes.last().unwrap().n_env_steps, n_steps, "the last weights were evaluated as well");
 
-    let judged = finished(
+    let evaluated = finished(
         lodestone(folder.path())
             .args(["eval", "--checkpoint", "run/checkpoints", "--episodes", "2", "--json"])
             .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
     );
-    let report: serde_json::Value = serde_json::from_slice(&judged.stdout).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&evaluated.stdout).unwrap();
     assert!(report["summary"]["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(report["summary"]["n_env_steps"], n_steps);
     let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
@@ -174,11 +174,11 @@ fn training_that_diverges_stops_and_keeps_usable_weights() {
     let folder = tempfile::tempdir().unwrap();
     let diverge = [
         "--set",
-        "learner.optimizer.rate_rule.kind=fixed",
+        "learner.optimizer.lr_schedule.kind=fixed",
         "--set",
         "learner.optimizer.learning_rate=100000",
         "--set",
-        "learner.steps_per_update=256",
+        "learner.batch_size=256",
         "--set",
         "evaluator.episodes.n_episodes=2",
     ];

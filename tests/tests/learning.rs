@@ -26,7 +26,7 @@ impl Ring {
         LearnerSetup {
             config: config.learner.clone(),
             policy: config.policy.clone(),
-            catalog: Catalog::builtin().clone().into(),
+            catalog: Catalog::builtin().clone(),
             tasks: config.actor.tasks.filter.select(Catalog::builtin()).unwrap(),
             generated: config.actor.tasks.draws(Catalog::builtin()).unwrap(),
             settings: config.settings(),
@@ -45,7 +45,7 @@ impl Ring {
             environment: config.environment.clone(),
             id: "lockstep".parse().unwrap(),
             seed: config.seed,
-            catalog: Catalog::builtin(),
+            catalog: Catalog::builtin().clone(),
         });
         Self { config, learner, worlds }
     }

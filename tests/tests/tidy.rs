@@ -19,6 +19,22 @@ const LEFTOVERS: [&str; 7] = [
 /// Constructs that make tests slow, skipped, or dependent on luck.
 const SHAKY: [&str; 3] = [concat!("#[ig", "nore"), concat!("should", "_panic"), concat!("thread::", "sleep")];
 
+/// Words that another one has replaced, each with the one to use.
+const REPLACED: [(&str, &str); 12] = [
+    (concat!("burn", "_in"), "warm_start"),
+    (concat!("lead", "_in"), "warm_start"),
+    (concat!("rate", "_rule"), "lr_schedule"),
+    (concat!("steps_per", "_update"), "batch_size"),
+    (concat!("value", "_coefficient"), "vf_coef"),
+    (concat!("Behavior", "Driver"), "BehaviorPolicy"),
+    (concat!("On", "looker"), "Observer"),
+    (concat!("on", "looker"), "observer"),
+    (concat!("vet", "ted"), "validated"),
+    (concat!("Jud", "ged"), "Scored"),
+    (concat!("jud", "ged"), "evaluated"),
+    (concat!("fi", "lms"), "videos"),
+];
+
 /// All lines in files with these extensions that contain one of `words`, as `file:line: word`.
 fn hits(extensions: &[&str], words: &[&str]) -> Vec<String> {
     let mut hits = Vec::new();
@@ -52,6 +68,18 @@ fn nothing_is_left_unfinished() {
 }
 
 #[test]
+fn one_word_stands_for_one_concept() {
+    for (word, instead) in REPLACED {
+        let found: Vec<String> = hits(&["rs", "toml", "py", "js", "html", "css", "proto", "md"], &[word])
+            .into_iter()
+            // Old runs and old versions keep their words.
+            .filter(|hit| !hit.starts_with("CHANGELOG.md") && !hit.starts_with("tests/golden/"))
+            .collect();
+        assert_eq!(found, Vec::<String>::new(), "use {instead}");
+    }
+}
+
+#[test]
 fn no_test_sleeps_or_hides() {
     assert_eq!(hits(&["rs"], &SHAKY), Vec::<String>::new());
 }
@@ -75,6 +103,17 @@ fn links_between_documents_lead_somewhere() {
             let folder = path.parent().expect("a file lies in a folder");
             assert!(folder.join(file).exists(), "{}: the link to {target} is broken", shown(&path));
         }
+    }
+}
+
+#[test]
+fn the_algorithm_for_contributors_is_one_that_compiles() {
+    let page = read(&root().join("CONTRIBUTING.md"));
+    let example = page.split("```rust\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
+    let tested = read(&root().join("learner/src/advantages.rs"));
+    let tested: Vec<&str> = tested.lines().filter_map(|line| line.strip_prefix("//!")).map(str::trim).collect();
+    for line in example.lines() {
+        assert!(tested.contains(&line.trim()), "the doc test of learner/src/advantages.rs does not have {line:?}");
     }
 }
 

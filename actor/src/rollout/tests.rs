@@ -9,19 +9,19 @@ use crate::toy::{self, Toy, id};
 /// Untrained values are within a few standard deviations (0.001) of the mean in the weights.
 const VALUE: f32 = 5.0;
 
-fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<'static, Toy> {
-    with_burn_in(scripts, seed, BurnInConfig::default())
+fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<Toy> {
+    with_warm_start(scripts, seed, WarmStartConfig::default())
 }
 
-fn with_burn_in(scripts: &[&[Status]], seed: u64, burn_in: BurnInConfig) -> Rollout<'static, Toy> {
+fn with_warm_start(scripts: &[&[Status]], seed: u64, warm_start: WarmStartConfig) -> Rollout<Toy> {
     let tasks = TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 3 }, ..Default::default() };
     let setup = RolloutSetup {
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
         policy: toy::policy(),
         settings: Default::default(),
         tasks,
         segment_len: 3,
-        burn_in,
+        warm_start,
         identity: toy::identity(),
         seed,
     };
@@ -29,7 +29,7 @@ fn with_burn_in(scripts: &[&[Status]], seed: u64, burn_in: BurnInConfig) -> Roll
     Rollout::new(setup, worlds, &toy::weights(0, VALUE)).unwrap()
 }
 
-fn run(rollout: &mut Rollout<'static, Toy>, n_steps: usize) -> Vec<Trajectory> {
+fn run(rollout: &mut Rollout<Toy>, n_steps: usize) -> Vec<Trajectory> {
     (0..n_steps).flat_map(|_| rollout.step().unwrap()).collect()
 }
 
@@ -52,19 +52,19 @@ fn segments_end_with_a_cut_a_success_and_the_time_limit() {
 }
 
 #[test]
-fn a_burn_in_counts_but_is_not_learned_from() {
+fn a_warm_start_counts_but_is_not_learned_from() {
     use Status::{Running, Success};
     let script = [Running, Running, Running, Success];
-    let burn_in = BurnInConfig { probability: 1.0, max_steps: 3 };
-    let mut rollout = with_burn_in(&[&script], 1, burn_in);
+    let warm_start = WarmStartConfig { probability: 1.0, max_steps: 3 };
+    let mut rollout = with_warm_start(&[&script], 1, warm_start);
     let segments = run(&mut rollout, 400);
     let skipped: Vec<u16> = segments.iter().filter(|s| s.outcome.is_some()).map(|s| s.first_step).collect();
     assert_eq!(skipped.len(), 100);
     assert!(skipped.iter().all(|n| (1..=3).contains(n)) && (1..=3).all(|n| skipped.contains(&n)), "{skipped:?}");
     let n_learned: usize = segments.iter().map(|segment| segment.transitions.len()).sum();
-    assert_eq!(rollout.counters().n_burn_in_steps as usize + n_learned, 400);
-    let n_told: usize = segments.iter().map(|segment| usize::from(segment.n_burn_in_steps)).sum();
-    assert_eq!(n_told, rollout.counters().n_burn_in_steps as usize, "each step of a burn-in is told of once");
+    assert_eq!(rollout.counters().n_warm_start_steps as usize + n_learned, 400);
+    let n_told: usize = segments.iter().map(|segment| usize::from(segment.n_warm_start_steps)).sum();
+    assert_eq!(n_told, rollout.counters().n_warm_start_steps as usize, "each step of a warm start is told of once");
     // The return is that of the whole episode.
     let returns = segments.iter().filter_map(|segment| segment.outcome).map(|outcome| outcome.episode_return.connected);
     assert!(returns.into_iter().all(|sum| sum == 10.0));
@@ -97,10 +97,10 @@ fn diverged_episodes_are_dropped_and_counted() {
 }
 
 #[test]
-fn episodes_that_diverge_in_their_burn_in_are_counted_as_well() {
+fn episodes_that_diverge_in_their_warm_start_are_counted_as_well() {
     use Status::{Diverged, Running};
-    let burn_in = BurnInConfig { probability: 1.0, max_steps: 1 };
-    let mut rollout = with_burn_in(&[&[Diverged, Running, Running]], 1, burn_in);
+    let warm_start = WarmStartConfig { probability: 1.0, max_steps: 1 };
+    let mut rollout = with_warm_start(&[&[Diverged, Running, Running]], 1, warm_start);
     run(&mut rollout, 1);
     assert_eq!(rollout.counters().n_diverged_episodes, 1);
 }
@@ -155,21 +155,21 @@ fn weights_of_another_network_are_refused_and_change_nothing() {
 }
 
 #[test]
-fn an_episode_that_ends_in_its_burn_in_tells_its_outcome() {
+fn an_episode_that_ends_in_its_warm_start_tells_its_outcome() {
     use Status::{Running, Success};
-    let burn_in = BurnInConfig { probability: 1.0, max_steps: 1 };
-    let mut rollout = with_burn_in(&[&[Success]], 1, burn_in);
+    let warm_start = WarmStartConfig { probability: 1.0, max_steps: 1 };
+    let mut rollout = with_warm_start(&[&[Success]], 1, warm_start);
     let segments = run(&mut rollout, 3);
     assert_eq!(segments.len(), 3);
     for segment in &segments {
         assert_eq!((segment.behavior_policy, segment.status), (BehaviorPolicy::Greedy, Success));
-        assert_eq!((segment.first_step, segment.n_burn_in_steps, segment.transitions.len()), (0, 0, 1));
+        assert_eq!((segment.first_step, segment.n_warm_start_steps, segment.transitions.len()), (0, 0, 1));
     }
-    // One step of burn-in, then the steps that are learned from.
-    let segments = run(&mut with_burn_in(&[&[Running, Success]], 1, burn_in), 4);
+    // One step of warm start, then the steps that are learned from.
+    let segments = run(&mut with_warm_start(&[&[Running, Success]], 1, warm_start), 4);
     assert!(
         segments
             .iter()
-            .all(|segment| segment.behavior_policy == BehaviorPolicy::Sampled && segment.n_burn_in_steps == 1)
+            .all(|segment| segment.behavior_policy == BehaviorPolicy::Sampled && segment.n_warm_start_steps == 1)
     );
 }

@@ -19,7 +19,7 @@ type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 
 /// Runs a stepping thread, which may wait on the runtime that started it. `setup` has the seed of the run.
 pub(super) fn step_worlds(
-    mut setup: RolloutSetup<'static>,
+    mut setup: RolloutSetup,
     environment: &EnvironmentConfig,
     n_worlds: usize,
     mut weights: Arrivals,
@@ -61,7 +61,7 @@ pub(super) fn step_worlds(
 
 /// Waits for the first usable weights; `None` if the actor stops first.
 fn first_usable(
-    setup: &RolloutSetup<'static>,
+    setup: &RolloutSetup,
     weights: &mut Arrivals,
     shared: &Shared,
 ) -> Result<Option<Arc<Weights>>, PolicyError> {
@@ -97,7 +97,7 @@ fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
 
 /// A rollout and its acting weights.
 struct Stepper {
-    rollout: Rollout<'static, World>,
+    rollout: Rollout<World>,
     current: Arc<Weights>,
     /// The weights before the current ones, in case those turn out to be unusable in some scene.
     previous: Option<Arc<Weights>>,

@@ -27,7 +27,7 @@ fn config() -> ActorConfig {
 
 fn setup(config: ActorConfig) -> ActorSetup {
     let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
-    let catalog = Catalog::builtin();
+    let catalog = Catalog::builtin().clone();
     ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1, catalog }
 }
 

@@ -114,10 +114,10 @@ fn blueprints_of_other_weights_than_the_evaluation_are_left_out() {
     let mut old = samples::blueprint("2_001", 1);
     old.value["weights_version"] = 799.into();
     run.take(&old, SECOND);
-    assert_eq!(run.judged_blueprints().len(), 1);
+    assert_eq!(run.evaluated_blueprints().len(), 1);
     run.take(&samples::blueprint("2_000", 30), SECOND);
     let ids = |run: &RunView| -> Vec<String> {
-        run.judged_blueprints().iter().map(|blueprint| blueprint.blueprint.to_string()).collect()
+        run.evaluated_blueprints().iter().map(|blueprint| blueprint.blueprint.to_string()).collect()
     };
     assert_eq!(ids(&run), ["2_000"]);
     run.take(&samples::evaluation(), SECOND);

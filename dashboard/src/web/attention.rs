@@ -12,7 +12,7 @@ use render::video::{Episode, EpisodeAttention};
 
 /// Computes attention with the newest weights at the time of the request.
 #[derive(Debug)]
-pub(super) struct Onlooker {
+pub(super) struct Observer {
     config: PolicyConfig,
     weights: watch::Receiver<Option<Arc<Weights>>>,
     /// The policy with the most recently used weights.
@@ -31,8 +31,8 @@ pub(super) struct AttentionView {
     percent: Vec<Vec<Vec<u8>>>,
 }
 
-impl Onlooker {
-    /// Creates an onlooker for a stream of weights of this configuration.
+impl Observer {
+    /// Creates an observer for a stream of weights of this configuration.
     pub(super) fn new(config: PolicyConfig, weights: watch::Receiver<Option<Arc<Weights>>>) -> Self {
         Self { config, weights, policy: Mutex::default() }
     }

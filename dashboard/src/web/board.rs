@@ -111,7 +111,7 @@ impl Board {
     }
 
     /// Records an evaluation and notifies browsers to fetch it.
-    pub(super) fn judged(&self, pass: &Pass) {
+    pub(super) fn evaluated(&self, pass: &Pass) {
         let mut state = self.state();
         state.passes.push(pass);
         let news = json!({ "weights_version": pass.weights_version, "n_env_steps": pass.n_env_steps });

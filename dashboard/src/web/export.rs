@@ -17,7 +17,7 @@ use super::events::Places;
 use super::routes::{self, ASSETS, Shown};
 use crate::config::WebConfig;
 
-/// Maximum size of a response. A video clip has a few hundred kilobytes, an episode less.
+/// Maximum size of a response. A video has a few hundred kilobytes, an episode less.
 const MAX_ANSWER_BYTES: usize = 64 << 20;
 
 /// Agents that play the recorded episodes, by their names in a query.
@@ -108,13 +108,13 @@ impl Copy<'_> {
         about["farewell"] = Value::Null;
         self.write(&format!("{base}/api/about.json"), about.to_string().as_bytes())?;
         self.take(&format!("{base}/api/history"), &format!("{base}/api/history.json")).await?;
-        let (_, films) = self.ask(&format!("{base}/api/films")).await?;
-        self.write(&format!("{base}/api/films.json"), &films)?;
-        let films: Value = serde_json::from_slice(&films)?;
-        let films = films["films"].as_array().into_iter().flatten();
-        for film in films {
-            let id = film["id"].as_str().unwrap_or_default();
-            self.take(&format!("{base}/api/film?id={id}"), &format!("{base}/api/film/{id}.mp4")).await?;
+        let (_, videos) = self.ask(&format!("{base}/api/videos")).await?;
+        self.write(&format!("{base}/api/videos.json"), &videos)?;
+        let videos: Value = serde_json::from_slice(&videos)?;
+        let videos = videos["videos"].as_array().into_iter().flatten();
+        for video in videos {
+            let id = video["id"].as_str().unwrap_or_default();
+            self.take(&format!("{base}/api/video?id={id}"), &format!("{base}/api/video/{id}.mp4")).await?;
             self.take(&format!("{base}/api/recording?id={id}"), &format!("{base}/api/recording/{id}.json")).await?;
             self.take(&format!("{base}/api/poster?id={id}"), &format!("{base}/api/poster/{id}.png")).await?;
         }

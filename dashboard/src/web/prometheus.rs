@@ -10,7 +10,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::metrics::{FilmCounts, ProposalMetrics};
+use proto::metrics::{ProposalMetrics, VideoCounts};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
@@ -241,9 +241,9 @@ fn dropped(page: &mut Scrape, state: &State) {
     let evaluation = state.run.evaluation().map(|heard| &heard.value);
     let of_bus = evaluation.into_iter().flat_map(|evaluation| by_reason(&evaluation.bus));
     page.counters("evaluator_bus_dropped", "What the evaluator's session dropped or refused, by reason", of_bus);
-    if let Some(films) = evaluation.and_then(|evaluation| evaluation.films) {
-        let FilmCounts { written_total, dropped_total, failed_total, unrecorded_total, oversized_total, .. } = films;
-        page.counter("evaluator_films_written", "Files of films written", Some(written_total));
+    if let Some(videos) = evaluation.and_then(|evaluation| evaluation.videos) {
+        let VideoCounts { written_total, dropped_total, failed_total, unrecorded_total, oversized_total, .. } = videos;
+        page.counter("evaluator_videos_written", "Files of videos written", Some(written_total));
         let reasons = [
             ("dropped", dropped_total),
             ("failed", failed_total),
@@ -252,8 +252,8 @@ fn dropped(page: &mut Scrape, state: &State) {
         ];
         let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
         page.counters(
-            "evaluator_films_dropped",
-            "Films that were not made, or not for TensorBoard (oversized), by reason",
+            "evaluator_videos_dropped",
+            "Videos that were not made, or not for TensorBoard (oversized), by reason",
             reasons,
         );
     }
@@ -351,11 +351,11 @@ mod tests {
         let samples = parse(&text(&board.state(), "a run").unwrap());
         let refused = "lodestone_evaluator_bus_dropped_total{reason=\"weights_refused\"}";
         assert_eq!(samples.get(refused), Some(&2.0), "{samples:#?}");
-        // An evaluator that makes no films has no counters of films.
-        assert!(!samples.keys().any(|sample| sample.contains("films")), "{samples:#?}");
+        // An evaluator that makes no videos has no counters of videos.
+        assert!(!samples.keys().any(|sample| sample.contains("videos")), "{samples:#?}");
 
         evaluation.value["weights_version"] = 801.into();
-        evaluation.value["films"] = serde_json::json!({
+        evaluation.value["videos"] = serde_json::json!({
             "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 3, "unrecorded_total": 4,
             "oversized_total": 5,
         });
@@ -368,7 +368,7 @@ mod tests {
             ("dropped_total{reason=\"unrecorded\"}", 4.0),
             ("dropped_total{reason=\"oversized\"}", 5.0),
         ] {
-            assert_eq!(samples.get(&format!("lodestone_evaluator_films_{sample}")), Some(&value), "{samples:#?}");
+            assert_eq!(samples.get(&format!("lodestone_evaluator_videos_{sample}")), Some(&value), "{samples:#?}");
         }
     }
 
@@ -376,7 +376,7 @@ mod tests {
     fn a_hand_worked_scrape() {
         let board = Board::default();
         let scores = [("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5)];
-        board.judged(&pass(200, &scores));
+        board.evaluated(&pass(200, &scores));
         let now = Duration::ZERO;
         board.told(News::Session(samples::session(&["a", "b"])), now);
         let mut other = samples::learner();

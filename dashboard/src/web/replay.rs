@@ -16,7 +16,7 @@ use serde::Serialize;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
-use super::attention::{AttentionView, Onlooker};
+use super::attention::{AttentionView, Observer};
 use render::picture::{GRIPPER_COLORS, TYPE_COLORS};
 use render::video::{Collector, Episode, STEP_S};
 
@@ -29,9 +29,9 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// The newest episode, and whether another one is requested.
 #[derive(Debug)]
 pub(super) struct Replays {
-    onlooker: Onlooker,
+    observer: Observer,
     /// The goals of the run.
-    catalog: Catalog,
+    catalog: Arc<Catalog>,
     wanted: Notify,
     newest: Mutex<Option<Bytes>>,
 }
@@ -55,7 +55,7 @@ struct ReplayView {
     half_extents_m: Vec<[f32; 3]>,
     /// Color of each block's type.
     colors: Vec<[u8; 3]>,
-    /// Color of each gripper, as in the video clips.
+    /// Color of each gripper, as in the videos.
     gripper_colors: Vec<[u8; 3]>,
     /// The goal's blocks: index, position in meters in the goal's frame, quaternion x, y, z, w.
     goal: Vec<(usize, [f32; 7])>,
@@ -81,8 +81,8 @@ struct SceneView {
 
 impl Replays {
     /// Creates an empty recorder of episodes with the goals in `catalog`.
-    pub(super) fn new(onlooker: Onlooker, catalog: Catalog) -> Self {
-        Self { onlooker, catalog, wanted: Notify::default(), newest: Mutex::default() }
+    pub(super) fn new(observer: Observer, catalog: Arc<Catalog>) -> Self {
+        Self { observer, catalog, wanted: Notify::default(), newest: Mutex::default() }
     }
 
     /// Returns the JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
@@ -93,7 +93,7 @@ impl Replays {
     /// Returns the JSON of a recorded episode with this goal; `None` if it cannot be shown. Takes around ten
     /// milliseconds.
     pub(super) fn show(&self, segments: &[Trajectory], goal: &Blueprint) -> Option<Bytes> {
-        let view = view(segments, goal, |episode| self.onlooker.look(episode))?;
+        let view = view(segments, goal, |episode| self.observer.look(episode))?;
         match serde_json::to_vec(&view) {
             Ok(json) => Some(json.into()),
             Err(error) => {
@@ -259,7 +259,7 @@ pub(super) mod tests {
             },
             behavior_policy: proto::BehaviorPolicy::Sampled,
             first_step,
-            n_burn_in_steps: 0,
+            n_warm_start_steps: 0,
             transitions: (0..n_steps).map(transition).collect(),
             last_scene: scene(9.0),
             status: if ends { Status::Success } else { Status::Running },

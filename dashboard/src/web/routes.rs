@@ -21,13 +21,13 @@ use super::about::{About, Kind, about};
 use super::board::Board;
 use super::drawing::{self, OneCheck};
 use super::events::Places;
-use super::films::{FilmView, Films};
 use super::gallery::{self, Gallery};
 use super::prometheus;
 use super::query::id_of;
 use super::replay::Replays;
 use super::server::Connection;
 use super::stage::{self, Stage};
+use super::videos::{VideoView, Videos};
 use crate::config::{Token, WebConfig};
 
 /// Beginning of the name of the cookie that holds the token. The rest depends on the token: browsers send the cookies of
@@ -58,7 +58,7 @@ pub(super) const ASSETS: [Asset; 19] = [
     ("/attention.js", JS, include_str!("assets/attention.js")),
     ("/curves.js", JS, include_str!("assets/curves.js")),
     ("/editor.js", JS, include_str!("assets/editor.js")),
-    ("/films.js", JS, include_str!("assets/films.js")),
+    ("/videos.js", JS, include_str!("assets/videos.js")),
     ("/format.js", JS, include_str!("assets/format.js")),
     ("/health.js", JS, include_str!("assets/health.js")),
     ("/heat.js", JS, include_str!("assets/heat.js")),
@@ -82,7 +82,7 @@ pub(super) struct Shown {
     pub(super) about: About,
     pub(super) board: Arc<Board>,
     pub(super) replays: Arc<Replays>,
-    pub(super) films: Films,
+    pub(super) videos: Videos,
     pub(super) stage: Option<Stage>,
 }
 
@@ -94,7 +94,7 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: W
     let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
     let opens = first.about.kind == Kind::Play;
     // The gallery shows the goals of the first run.
-    let catalog = Arc::new(first.about.catalog.clone());
+    let catalog = first.about.catalog.clone();
     let names = std::iter::once(&first).chain(&others).map(|run| run.about.run.clone()).collect::<Vec<_>>();
     let mut guarded = of_run(first, &names);
     for (place, run) in others.into_iter().enumerate() {
@@ -152,13 +152,13 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/play", get(stage::play).post(stage::play_drawn))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
-        .route("/api/films", get(list_films))
-        .route("/api/film", get(film))
+        .route("/api/videos", get(list_videos))
+        .route("/api/video", get(video))
         .route("/api/poster", get(poster))
         .route("/metrics", get(metrics))
         .layer(Extension(name))
-        .layer(Extension(Arc::new(run.about.catalog)))
-        .layer(Extension(run.films))
+        .layer(Extension(run.about.catalog))
+        .layer(Extension(run.videos))
         .layer(Extension(run.replays))
         .layer(Extension(run.stage))
         .with_state(run.board)
@@ -179,17 +179,18 @@ async fn history(State(board): State<Arc<Board>>) -> Response {
     }
 }
 
-/// The newest clips.
+/// The newest videos.
 #[derive(Serialize)]
-struct FilmsView {
+struct VideosView {
     schema_version: u32,
-    films: Vec<FilmView>,
+    videos: Vec<VideoView>,
 }
 
-async fn list_films(Extension(films): Extension<Films>) -> Response {
+async fn list_videos(Extension(videos): Extension<Videos>) -> Response {
     // Off the runtime, because this blocks on disk reads. The same applies below.
-    let answer =
-        tokio::task::spawn_blocking(move || serde_json::to_vec(&FilmsView { schema_version: 1, films: films.list() }));
+    let answer = tokio::task::spawn_blocking(move || {
+        serde_json::to_vec(&VideosView { schema_version: 1, videos: videos.list() })
+    });
     match answer.await {
         Ok(Ok(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
         Ok(Err(error)) => failed(&error),
@@ -197,30 +198,30 @@ async fn list_films(Extension(films): Extension<Films>) -> Response {
     }
 }
 
-/// Returns the clip named in the query.
-async fn film(Extension(films): Extension<Films>, RawQuery(query): RawQuery) -> Response {
+/// Returns the video named in the query.
+async fn video(Extension(videos): Extension<Videos>, RawQuery(query): RawQuery) -> Response {
     let asked = id_of(query);
-    found("video/mp4", tokio::task::spawn_blocking(move || films.bytes(&asked)).await)
+    found("video/mp4", tokio::task::spawn_blocking(move || videos.bytes(&asked)).await)
 }
 
-/// Returns the last scene of the clip named in the query.
+/// Returns the last scene of the video named in the query.
 async fn poster(
-    Extension(films): Extension<Films>,
+    Extension(videos): Extension<Videos>,
     Extension(catalog): Extension<Arc<Catalog>>,
     RawQuery(query): RawQuery,
 ) -> Response {
     let asked = id_of(query);
-    found("image/png", tokio::task::spawn_blocking(move || films.poster(&catalog, &asked)).await)
+    found("image/png", tokio::task::spawn_blocking(move || videos.poster(&catalog, &asked)).await)
 }
 
-/// Returns the episode of the clip named in the query, in the format of [`replay`].
+/// Returns the episode of the video named in the query, in the format of [`replay`].
 async fn recording(
-    Extension(films): Extension<Films>,
+    Extension(videos): Extension<Videos>,
     Extension(replays): Extension<Arc<Replays>>,
     RawQuery(query): RawQuery,
 ) -> Response {
     let asked = id_of(query);
-    let answer = tokio::task::spawn_blocking(move || replays.show_known(&[films.recording(&asked)?])).await;
+    let answer = tokio::task::spawn_blocking(move || replays.show_known(&[videos.recording(&asked)?])).await;
     found("application/json", answer)
 }
 

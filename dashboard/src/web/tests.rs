@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use blueprints::{BlueprintId, Catalog};
@@ -36,7 +37,7 @@ struct Served {
     task: tokio::task::JoinHandle<anyhow::Result<()>>,
 }
 
-/// A page connected to a bus. Clips and recordings are read from `dir`; attention is that of an untrained network.
+/// A page connected to a bus. Videos and recordings are read from `dir`; attention is that of an untrained network.
 async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let bus = Bus::isolated(dir).await.unwrap();
     let token = token.map(|token| Token::from(token.to_owned()));
@@ -447,20 +448,20 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn films_are_told_and_sent_and_nothing_else_is() {
+async fn videos_are_told_and_sent_and_nothing_else_is() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("videos").join("2_000");
     std::fs::create_dir_all(&folder).unwrap();
-    std::fs::write(folder.join("00000007-success.mp4"), "the film").unwrap();
-    std::fs::write(folder.join("secret.mp4"), "not a film of ours").unwrap();
-    std::fs::write(dir.path().join("eval.db"), "not a film").unwrap();
+    std::fs::write(folder.join("00000007-success.mp4"), "the video").unwrap();
+    std::fs::write(folder.join("secret.mp4"), "not a video of ours").unwrap();
+    std::fs::write(dir.path().join("eval.db"), "not a video").unwrap();
     let served = serve(dir.path(), None).await;
     let body = |answer: String| answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned()).unwrap();
-    let answer: Value = serde_json::from_str(&body(served.get("/api/films").await)).unwrap();
-    let film = json!({ "id": "2_000.7.success.1", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
-    assert_eq!(answer, json!({ "schema_version": 1, "films": [film] }));
-    let answer = served.get("/api/film?id=2_000.7.success.1").await;
-    assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the film"), "{answer}");
+    let answer: Value = serde_json::from_str(&body(served.get("/api/videos").await)).unwrap();
+    let video = json!({ "id": "2_000.7.success.1", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
+    assert_eq!(answer, json!({ "schema_version": 1, "videos": [video] }));
+    let answer = served.get("/api/video?id=2_000.7.success.1").await;
+    assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the video"), "{answer}");
     // The matching recording: three steps, with the attention in each scene.
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
@@ -482,7 +483,7 @@ async fn films_are_told_and_sent_and_nothing_else_is() {
     for id in
         ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
     {
-        assert_eq!(served.status(&format!("/api/film{id}"), "").await, 404, "{id}");
+        assert_eq!(served.status(&format!("/api/video{id}"), "").await, 404, "{id}");
         assert_eq!(served.status(&format!("/api/recording{id}"), "").await, 404, "{id}");
         assert_eq!(served.status(&format!("/api/poster{id}"), "").await, 404, "{id}");
     }
@@ -539,13 +540,13 @@ async fn a_drawing_is_checked_and_built() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn runs_that_have_ended_stand_side_by_side() {
     let dir = tempfile::tempdir().unwrap();
-    // The second run has a goal of its own, and a film of it.
+    // The second run has a goal of its own, and a video of it.
     let text = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test").replace("2_000", "mine");
-    let own = Catalog::builtin().with(&Catalog::from_files([("mine.toml", text.as_str())]).unwrap());
+    let own = Arc::new(Catalog::builtin().with(&Catalog::from_files([("mine.toml", text.as_str())]).unwrap()));
     let mut recorded = segment(2, 0, 3, true);
     recorded.task.blueprint = "mine".parse().unwrap();
     for (folder, file, bytes) in [
-        ("videos/mine", "00000007-success.mp4", b"the film".to_vec()),
+        ("videos/mine", "00000007-success.mp4", b"the video".to_vec()),
         ("replays/mine", "00000007-success.trajectory", encode_recording(&recorded)),
     ] {
         std::fs::create_dir_all(dir.path().join(folder)).unwrap();
@@ -588,11 +589,11 @@ async fn runs_that_have_ended_stand_side_by_side() {
     assert_eq!((&about["runs"], &get("/api/about").await["runs"]), (&runs, &runs));
     assert_eq!(get("/api/history").await["passes"][0]["n_env_steps"], 100);
     assert_eq!(get("/runs/1/api/history").await["passes"][0]["n_env_steps"], 200);
-    let film = "mine.7.success.1";
-    assert_eq!(get(&format!("/runs/1/api/recording?id={film}")).await["blueprint"], "mine");
-    assert_eq!(status(&ask(&format!("/runs/1/api/poster?id={film}")).await), 200);
+    let video = "mine.7.success.1";
+    assert_eq!(get(&format!("/runs/1/api/recording?id={video}")).await["blueprint"], "mine");
+    assert_eq!(status(&ask(&format!("/runs/1/api/poster?id={video}")).await), 200);
     // The first run does not know that goal.
-    assert_eq!(status(&ask(&format!("/api/recording?id={film}")).await), 404);
+    assert_eq!(status(&ask(&format!("/api/recording?id={video}")).await), 404);
     shutdown.cancel();
     within(task).await.unwrap().unwrap();
 }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use evaluator::{Judged, PolicyConfig, Verdict};
+use evaluator::{PolicyConfig, Scored, Verdict};
 use learner::Model;
 use runlog::RunPaths;
 use tokio::sync::mpsc;
@@ -14,11 +14,11 @@ use crate::replace::{PLAIN, replace};
 /// Keeps the best of the weights that an evaluator judges until it ends.
 ///
 /// A file that cannot be written does not end a run: a warning says so, and the next verdict tries again.
-pub(super) async fn keep(mut judged: mpsc::UnboundedReceiver<Judged>, policy: PolicyConfig, paths: RunPaths) {
+pub(super) async fn keep(mut evaluated: mpsc::UnboundedReceiver<Scored>, policy: PolicyConfig, paths: RunPaths) {
     // Off the async runtime, because it waits for the disk.
     let keeping = tokio::task::spawn_blocking(move || {
         let mut keeper = Keeper::new(policy, &paths);
-        while let Some(next) = judged.blocking_recv() {
+        while let Some(next) = evaluated.blocking_recv() {
             keeper.offer(next);
         }
     });
@@ -38,7 +38,7 @@ struct Keeper {
     /// The verdict on the policy in the file.
     kept: Option<Verdict>,
     /// A better policy that could not be written yet.
-    waiting: Option<Judged>,
+    waiting: Option<Scored>,
 }
 
 impl Keeper {
@@ -60,7 +60,7 @@ impl Keeper {
         Self { policy, path, kept, waiting: None }
     }
 
-    fn offer(&mut self, new: Judged) {
+    fn offer(&mut self, new: Scored) {
         // Neither untrained weights nor those that build nothing are better than what comes after them.
         if new.weights.n_env_steps == 0 || new.verdict.success.n_successes == 0 {
             return;
@@ -76,7 +76,7 @@ impl Keeper {
         }
     }
 
-    fn write(&self, Judged { weights, verdict }: &Judged) -> anyhow::Result<()> {
+    fn write(&self, Scored { weights, verdict }: &Scored) -> anyhow::Result<()> {
         let mut model = Model::new(&self.policy, weights);
         model.verdict = Some(serde_json::to_value(verdict)?);
         let bytes = model.to_bytes()?;
@@ -104,12 +104,12 @@ mod tests {
     }
 
     /// Weights after this many steps, and a verdict of this many successes in ten episodes.
-    fn judged(n_env_steps: u64, n_successes: u64) -> Judged {
+    fn evaluated(n_env_steps: u64, n_successes: u64) -> Scored {
         let shipped = shipped().weights;
         let weights = Weights { n_env_steps, version: WeightsVersion(n_env_steps), ..shipped };
         let success = SuccessRate::new(n_successes, 10);
         let verdict = Verdict { goals: "train".to_owned(), n_goals: 2, acting: ActionMode::Sampled, success };
-        Judged { weights: Arc::new(weights), verdict }
+        Scored { weights: Arc::new(weights), verdict }
     }
 
     #[test]
@@ -123,21 +123,21 @@ mod tests {
         for (n_env_steps, n_successes, expected) in
             [(0, 9, None), (100, 0, None), (200, 5, Some(200)), (300, 7, Some(300)), (400, 6, Some(300))]
         {
-            keeper.offer(judged(n_env_steps, n_successes));
+            keeper.offer(evaluated(n_env_steps, n_successes));
             assert_eq!(kept(), expected, "after {n_env_steps}");
         }
         // Killed while it wrote another one.
         fs::write(folder.path().join("checkpoints/best/.X.part"), "half").unwrap();
         let mut keeper = start();
-        keeper.offer(judged(500, 6));
+        keeper.offer(evaluated(500, 6));
         assert_eq!(kept(), Some(300));
-        keeper.offer(judged(600, 7));
+        keeper.offer(evaluated(600, 7));
         assert_eq!(kept(), Some(600), "of equal ones the later");
-        assert_eq!(verdict_of(&Model::read(&paths.best()).unwrap()).unwrap(), judged(600, 7).verdict);
+        assert_eq!(verdict_of(&Model::read(&paths.best()).unwrap()).unwrap(), evaluated(600, 7).verdict);
         assert_eq!(fs::read_dir(folder.path().join("checkpoints/best")).unwrap().count(), 1);
         // A damaged file keeps nothing better away.
         fs::write(paths.best(), "damaged").unwrap();
-        start().offer(judged(700, 1));
+        start().offer(evaluated(700, 1));
         assert_eq!(kept(), Some(700));
     }
 
@@ -149,9 +149,9 @@ mod tests {
         // A file in the place of the folder makes writing fail, as a full disk would.
         fs::write(paths.checkpoints(), "").unwrap();
         let mut keeper = Keeper::new(policy, &paths);
-        keeper.offer(judged(100, 5));
+        keeper.offer(evaluated(100, 5));
         fs::remove_file(paths.checkpoints()).unwrap();
-        keeper.offer(judged(200, 4));
+        keeper.offer(evaluated(200, 4));
         assert_eq!(Model::read(&paths.best()).unwrap().weights.n_env_steps, 100);
     }
 }

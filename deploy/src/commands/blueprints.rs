@@ -55,7 +55,7 @@ pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<()
 
 fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.paths.iter().map(|path| Catalog::load(path)).collect::<Result<Vec<_>, _>>()?;
-    let catalogs = if loaded.is_empty() { std::slice::from_ref(Catalog::builtin()) } else { &loaded };
+    let catalogs = if loaded.is_empty() { std::slice::from_ref(Catalog::builtin().as_ref()) } else { &loaded };
     let rows: Vec<Row<'_>> = catalogs.iter().flat_map(Catalog::iter).map(row).collect();
     if args.json {
         terminal.print(&json(&rows));

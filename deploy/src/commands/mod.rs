@@ -55,7 +55,6 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     check_variables(names.iter().map(String::as_str), &cli::program())?;
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
-        Command::Expert(command) => on_runtime(async |shutdown| expert::run(&command, terminal, &shutdown)),
         Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown)),
         Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),

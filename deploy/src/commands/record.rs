@@ -136,7 +136,7 @@ impl Recording<'_> {
         let own = args.goals.blueprint.iter().filter(|name| is_path(name));
         let own: String = own.map(|path| format!(" --blueprint {}", shell::path(Path::new(path)))).collect();
         format!(
-            "{} episodes{left_out}\nlodestone render {}/*.trajectory{own} --out films",
+            "{} episodes{left_out}\nlodestone render {}/*.trajectory{own} --out videos",
             self.n_files,
             shell::path(self.folder)
         )

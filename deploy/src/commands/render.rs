@@ -1,4 +1,4 @@
-//! `render`: makes films of recorded trajectories, of a run's recordings, and of the episodes of running actors.
+//! `render`: makes videos of recorded trajectories, of a run's recordings, and of the episodes of running actors.
 
 mod live;
 mod recordings;
@@ -7,17 +7,18 @@ mod shares;
 use std::borrow::Cow;
 use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use evaluator::{Policy, PolicyError};
 use render::picture::encode;
-use render::video::{AttentionFilm, Episode, EpisodeAttention, Film, attention_strip, gif, mp4, strip};
+use render::video::{AttentionVideo, Episode, EpisodeAttention, Video, attention_strip, gif, mp4, strip};
 
 use super::files::write_files;
 use super::goals;
 use super::models::Source;
-use crate::cli::{FilmFormat, RenderArgs};
+use crate::cli::{RenderArgs, VideoFormat};
 use crate::config::nearest;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -31,13 +32,13 @@ const N_STRIP_MOMENTS: usize = 5;
 /// Palette size of a strip, which should be small enough to keep in a repository.
 const STRIP_COLORS: usize = 96;
 
-/// The name of a film and its episode.
+/// The name of a video and its episode.
 type Named = (OsString, Episode);
 
-/// Runs the subcommand. Reads every file before it makes the first film.
+/// Runs the subcommand. Reads every file before it makes the first video.
 ///
 /// # Errors
-/// When a file is not a recording, its goal is unknown, or a film cannot be made or written.
+/// When a file is not a recording, its goal is unknown, or a video cannot be made or written.
 pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure> {
     let goals = Goals::new(args)?;
     let policy = policy(args)?;
@@ -50,7 +51,7 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
 
 /// The catalog of goals, and the goals to show.
 struct Goals {
-    catalog: Catalog,
+    catalog: Arc<Catalog>,
     /// The named goals; if empty, all are shown.
     chosen: Vec<BlueprintId>,
 }
@@ -58,11 +59,11 @@ struct Goals {
 impl Goals {
     fn new(args: &RenderArgs) -> Result<Self, Failure> {
         if let Some(path) = &args.path {
-            return Ok(Self { catalog: Catalog::load(path)?, chosen: Vec::new() });
+            return Ok(Self { catalog: Arc::new(Catalog::load(path)?), chosen: Vec::new() });
         }
         let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
         let chosen = goals.ids().to_vec();
-        Ok(Self { catalog: goals.into_catalog(), chosen })
+        Ok(Self { catalog: goals.catalog().clone(), chosen })
     }
 
     /// Whether episodes with this goal are shown.
@@ -99,7 +100,7 @@ fn make_all(
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     for (name, episode) in episodes {
-        let making = || format!("making a film of {}", name.display());
+        let making = || format!("making a video of {}", name.display());
         let (ending, bytes) = match policy {
             Some(policy) => make_of_attention(&attention(policy, name, episode)?, args).with_context(making)?,
             None => make(episode, args).with_context(making)?,
@@ -122,27 +123,27 @@ fn attention<'e>(policy: &Policy, name: &OsStr, episode: &'e Episode) -> Result<
 /// Renders an episode. Returns the extension of the file name and the file's bytes.
 fn make(episode: &Episode, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
     Ok(match args.format {
-        FilmFormat::Mp4 => {
+        VideoFormat::Mp4 => {
             let fps = args.fps.unwrap_or(30);
-            ("mp4", mp4(Film::new(episode, args.width.unwrap_or(960)).frames(fps), fps)?)
+            ("mp4", mp4(Video::new(episode, args.width.unwrap_or(960)).frames(fps), fps)?)
         }
-        FilmFormat::Gif => {
+        VideoFormat::Gif => {
             let fps = args.fps.unwrap_or(10);
-            ("gif", gif(Film::new(episode, args.width.unwrap_or(640)).frames(fps), fps)?)
+            ("gif", gif(Video::new(episode, args.width.unwrap_or(640)).frames(fps), fps)?)
         }
-        FilmFormat::PngStrip => {
+        VideoFormat::PngStrip => {
             ("png", encode(&strip(episode, N_STRIP_SCENES, args.width.unwrap_or(1200)), STRIP_COLORS)?)
         }
     })
 }
 
-/// Like [`make`], for a film of what a network attends to.
+/// Like [`make`], for a video of what a network attends to.
 fn make_of_attention(attention: &EpisodeAttention<'_>, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
     // Attention changes only once per step, so a higher frame rate would show nothing more.
     let (width, fps) = (args.width.unwrap_or(1280), args.fps.unwrap_or(10));
     Ok(match args.format {
-        FilmFormat::Mp4 => ("mp4", mp4(AttentionFilm::new(attention, width).frames(fps), fps)?),
-        FilmFormat::Gif => ("gif", gif(AttentionFilm::new(attention, width).frames(fps), fps)?),
-        FilmFormat::PngStrip => ("png", encode(&attention_strip(attention, N_STRIP_MOMENTS, width), STRIP_COLORS)?),
+        VideoFormat::Mp4 => ("mp4", mp4(AttentionVideo::new(attention, width).frames(fps), fps)?),
+        VideoFormat::Gif => ("gif", gif(AttentionVideo::new(attention, width).frames(fps), fps)?),
+        VideoFormat::PngStrip => ("png", encode(&attention_strip(attention, N_STRIP_MOMENTS, width), STRIP_COLORS)?),
     })
 }

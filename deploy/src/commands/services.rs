@@ -125,7 +125,7 @@ pub(super) async fn run_evaluator(
     let opened = page(config.dashboard.web.as_ref(), terminal).await?;
     let command = args.run_dir.clone().map(|run_dir| serve::command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };
-    let page = opened.map(|page| Opened { page, about: about(settings, setup.catalog, farewell), first: None });
+    let page = opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None });
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let (progress, counted) = watch::channel(None);
@@ -209,7 +209,7 @@ pub(super) struct Opened {
 }
 
 /// Describes a training for its page; `catalog` has all of its goals.
-pub(super) fn about(settings: &Settings, catalog: &Catalog, farewell: Farewell) -> About {
+pub(super) fn about(settings: &Settings, catalog: &Arc<Catalog>, farewell: Farewell) -> About {
     let config = &settings.config;
     About {
         kind: Kind::Training,
@@ -234,8 +234,8 @@ pub(super) async fn evaluator(
     let mut listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
     let mut keeping = None;
     if let Some(paths) = setup.records.clone() {
-        let (judged, verdicts) = mpsc::unbounded_channel();
-        listeners.judged = Some(judged);
+        let (evaluated, verdicts) = mpsc::unbounded_channel();
+        listeners.evaluated = Some(evaluated);
         keeping = Some(tokio::spawn(best::keep(verdicts, setup.policy.clone(), paths)));
     }
     let ended = evaluate(setup, listeners, page, bus, stop).await;
@@ -301,7 +301,7 @@ pub fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
         environment: config.environment.clone(),
         id,
         seed: config.seed,
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
     }
 }
 
@@ -314,7 +314,7 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
         id,
         seed: config.seed,
         records: run_dir.map(RunPaths::new),
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
     }
 }
 
@@ -322,7 +322,7 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
 ///
 /// # Errors
 /// Before anything is written, if the device, the selection of goals, or the policy cannot be used.
-pub fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) -> Result<LearnerSetup, Failure> {
+pub fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Arc<Catalog>) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
     let unusable = |error| invalid("actor.tasks.filter", error);
     let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;
@@ -330,7 +330,7 @@ pub fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) ->
     Ok(LearnerSetup {
         config: config.learner.clone(),
         policy: config.policy.clone(),
-        catalog: catalog.clone().into(),
+        catalog: catalog.clone(),
         tasks,
         generated,
         settings: config.settings(),
@@ -347,9 +347,9 @@ pub fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Catalog) ->
 /// # Errors
 /// Names the section with an unknown blueprint, or with a selection of none.
 pub(super) fn check_evaluator(config: &Config, catalog: &Catalog) -> Result<(), Failure> {
-    let EvaluatorConfig { selection, films, .. } = &config.evaluator;
+    let EvaluatorConfig { selection, videos, .. } = &config.evaluator;
     selection.select(catalog).map_err(|error| invalid("evaluator.selection", error))?;
-    films.check_in(catalog).map_err(|error| invalid("evaluator.films.blueprints", error))
+    videos.check_in(catalog).map_err(|error| invalid("evaluator.videos.blueprints", error))
 }
 
 /// Claims the run folder that a learner with this setup starts or continues. If it cannot continue the run, the folder
@@ -403,7 +403,7 @@ mod tests {
             let config = crate::config::merge("", "defaults", crate::config::Base::Defaults, &[set]).unwrap();
             check_evaluator(&config, Catalog::builtin())
         };
-        assert!(check("evaluator.films.blueprints=[\"2_000\"]").is_ok());
+        assert!(check("evaluator.videos.blueprints=[\"2_000\"]").is_ok());
         for (set, expected) in [
             ("evaluator.selection.blueprints=[\"2_999\"]", "evaluator.selection: the catalog has no blueprint 2_999"),
             (
@@ -411,8 +411,8 @@ mod tests {
                 "evaluator.selection: the selection of splits, sizes and blueprints leaves nothing to evaluate",
             ),
             (
-                "evaluator.films.blueprints=[\"2_999\"]",
-                "evaluator.films.blueprints: the catalog has no blueprint 2_999",
+                "evaluator.videos.blueprints=[\"2_999\"]",
+                "evaluator.videos.blueprints: the catalog has no blueprint 2_999",
             ),
         ] {
             let failure = check(set).unwrap_err();

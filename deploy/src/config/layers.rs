@@ -328,11 +328,11 @@ mod tests {
     fn a_key_of_a_choice_can_be_set() {
         let set = |text: &str| merge("", "defaults", &[Override::parse(text).unwrap()]).unwrap();
         let adaptive = learner::config::AdaptiveRate { high_kl: 0.03, ..Default::default() };
-        let rule = |text| set(text).learner.optimizer.rate_rule;
-        assert_eq!(rule("learner.optimizer.rate_rule.high_kl=0.03"), learner::config::RateRule::Adaptive(adaptive));
+        let rule = |text| set(text).learner.optimizer.lr_schedule;
+        assert_eq!(rule("learner.optimizer.lr_schedule.high_kl=0.03"), learner::config::LrSchedule::Adaptive(adaptive));
         assert_eq!(
-            rule("learner.optimizer.rate_rule.kind=fixed"),
-            learner::config::RateRule::Fixed(learner::config::FixedRate {})
+            rule("learner.optimizer.lr_schedule.kind=fixed"),
+            learner::config::LrSchedule::Fixed(learner::config::FixedRate {})
         );
         assert_eq!(set("evaluator.every.versions=3").evaluator.every, evaluator::Every::Versions(3));
         let blueprints = vec!["2_000".to_owned().try_into().unwrap()];

@@ -118,10 +118,10 @@ impl Config {
 
     /// What actors with these settings do.
     pub fn acting_limits(&self) -> ActingLimits {
-        let ActorConfig { burn_in, tasks, .. } = &self.actor;
+        let ActorConfig { warm_start, tasks, .. } = &self.actor;
         ActingLimits {
             episode_steps: self.environment.episode_steps,
-            burn_in_steps: if burn_in.probability > 0.0 { burn_in.max_steps } else { 0 },
+            warm_start_steps: if warm_start.probability > 0.0 { warm_start.max_steps } else { 0 },
             has_prebuilt_starts: tasks.prebuilt_probability > 0.0,
             has_near_goal_starts: tasks.near_goal_probability > 0.0,
         }
@@ -179,9 +179,9 @@ mod tests {
     #[test]
     fn numbers_are_written_as_they_were_given() {
         // One in 32 bits, and one in 64.
-        let file = "[learner.loss]\nclip = 0.04\n[learner.curriculum]\nkind = \"paper\"\ntemperature = 0.1";
+        let file = "[learner.loss]\nclip_range = 0.04\n[learner.curriculum]\nkind = \"paper\"\ntemperature = 0.1";
         let text = Config::parse(file, "file").unwrap().to_toml();
-        assert!(text.contains("clip = 0.04\n") && text.contains("temperature = 0.1\n"), "{text}");
+        assert!(text.contains("clip_range = 0.04\n") && text.contains("temperature = 0.1\n"), "{text}");
         // Nine significant digits identify every 32-bit number, so a longer fraction means that one was widened to 64
         // bits.
         let has_many = |line: &&str| line.split_once('.').is_some_and(|(_, rest)| rest.len() > 10);

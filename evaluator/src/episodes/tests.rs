@@ -10,8 +10,8 @@ use proto::{ActionMode, Normalization, WeightsVersion};
 
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig};
-use crate::films::EpisodeSelector;
 use crate::setup::N_WORLDS;
+use crate::videos::EpisodeSelector;
 
 /// A network small enough for tests.
 pub(crate) fn small_policy() -> PolicyConfig {

@@ -33,7 +33,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
         id: "judge".to_owned(),
         seed: 3,
         records: Some(records.clone()),
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
     };
     let (reports, mut seen) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), ..Default::default() };
@@ -110,7 +110,7 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
         id: "judge".to_owned(),
         seed: 3,
         records: None,
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
     };
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
@@ -155,11 +155,11 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
         id: "judge".to_owned(),
         seed: 3,
         records: None,
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
     };
     let (reports, mut seen) = watch::channel(None);
-    let (judged, mut verdicts) = mpsc::unbounded_channel();
-    let listeners = Listeners { reports: Some(reports), judged: Some(judged), ..Default::default() };
+    let (evaluated, mut verdicts) = mpsc::unbounded_channel();
+    let listeners = Listeners { reports: Some(reports), evaluated: Some(evaluated), ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
     let (its_bus, its_stop) = (bus.clone(), stop.clone());
@@ -180,7 +180,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     assert_eq!(report.summary.groups.last().unwrap().name, "validation");
     // The best weights are chosen by the usual goals alone.
     for _ in 0..2 {
-        let Judged { weights, verdict } = verdicts.recv().await.unwrap();
+        let Scored { weights, verdict } = verdicts.recv().await.unwrap();
         assert_eq!((weights.version, verdict.goals.as_str(), verdict.n_goals), (untrained.version, "train", 1));
     }
     assert!(verdicts.recv().await.is_none());
@@ -225,9 +225,9 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
         last: None,
         reports: None,
         listener: None,
-        judged: None,
+        evaluated: None,
         progress: None,
-        films: None,
+        videos: None,
     };
     let goal = Catalog::builtin().of_split(Split::Train)[0];
     let episode = EpisodeSpec::new(goal, Start::Scattered, 1, 0).result(
@@ -298,6 +298,6 @@ fn one_goal(n_episodes: u32, records: Option<RunPaths>) -> EvaluatorSetup {
         id: "judge".to_owned(),
         seed: 3,
         records,
-        catalog: Catalog::builtin(),
+        catalog: Catalog::builtin().clone(),
     }
 }

@@ -4,7 +4,7 @@ use policy::{Policy, PolicyConfig};
 use proto::{Gripper, Pose};
 
 use super::*;
-use crate::films::EpisodeSelector;
+use crate::videos::EpisodeSelector;
 
 /// A world in which nothing moves and a script determines how each step ends.
 struct Toy {

@@ -24,7 +24,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct SinkPlan {
     /// Steps per update.
-    pub(super) steps_per_update: usize,
+    pub(super) batch_size: usize,
     /// Number of parameters of the published weights; `None` for the size of the network.
     pub(super) n_parameters: Option<usize>,
     /// Interval between publications, milliseconds; 0 publishes only the first weights.
@@ -91,7 +91,7 @@ impl Sink {
             _alive: bus.declare_alive(Role::Learner, "learner").await?,
             publisher: bus.weights_publisher().await?,
             server: bus.serve_trajectories(handler, current_version).await?,
-            drain: Drain::start(mailbox.clone(), plan.steps_per_update)?,
+            drain: Drain::start(mailbox.clone(), plan.batch_size)?,
             bus: bus.clone(),
             plan,
             mailbox,

@@ -10,9 +10,9 @@ settings! {
     /// The PPO objective.
     pub struct LossConfig {
         /// Probability ratios beyond 1 ± this are clipped.
-        pub clip: f32 = 0.2, in above_to(0.0, 1.0);
+        pub clip_range: f32 = 0.2, in above_to(0.0, 1.0);
         /// Weight of the value loss.
-        pub value_coefficient: f32 = 0.5, in 0.0..;
+        pub vf_coef: f32 = 0.5, in 0.0..;
         /// Weight of the entropy of the block choice, nats. Below 0, it makes the policy decisive, so that greedy
         /// actions match sampled ones.
         pub block_entropy: Schedule = Schedule::Constant(0.005), in -1.0..=1.0;
@@ -37,10 +37,10 @@ pub enum Objective {
 /// The loss coefficients of one update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossTerms {
-    /// See [`LossConfig::clip`].
-    pub clip: f32,
-    /// See [`LossConfig::value_coefficient`].
-    pub value_coefficient: f32,
+    /// See [`LossConfig::clip_range`].
+    pub clip_range: f32,
+    /// See [`LossConfig::vf_coef`].
+    pub vf_coef: f32,
     /// See [`LossConfig::block_entropy`].
     pub block_entropy: f32,
     /// See [`LossConfig::move_entropy`].
@@ -51,8 +51,8 @@ impl LossConfig {
     /// Returns the coefficients after `n_env_steps` environment steps.
     pub fn at(&self, n_env_steps: u64) -> LossTerms {
         LossTerms {
-            clip: self.clip,
-            value_coefficient: self.value_coefficient,
+            clip_range: self.clip_range,
+            vf_coef: self.vf_coef,
             block_entropy: self.block_entropy.at(n_env_steps),
             move_entropy: self.move_entropy.at(n_env_steps),
         }

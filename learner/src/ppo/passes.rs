@@ -74,7 +74,7 @@ impl LossSums {
     pub(super) fn total(&self, config: &LossTerms) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
         let entropies = weighted(config.block_entropy, self.blocks) + weighted(config.move_entropy, self.moves);
-        self.policy - entropies + weighted(config.value_coefficient, self.value)
+        self.policy - entropies + weighted(config.vf_coef, self.value)
     }
 }
 
@@ -161,12 +161,13 @@ impl Passes {
         let actions = self.actions(batch, samples, device);
         let log_prob = loss_terms::log_prob(&output, &actions);
         let (weight, advantage) = (column(&targets.weights), column(&targets.advantages));
-        let policy = policy_loss(log_prob.clone(), column(targets.reference), weight, advantage, config.clip).sum();
+        let policy =
+            policy_loss(log_prob.clone(), column(targets.reference), weight, advantage, config.clip_range).sum();
         let entropy = loss_terms::entropy(&output, actions.draws.as_ref());
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
         let value = value_loss(values, column(&targets.value_targets)).sum();
         let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
-        let loss = value.clone() * config.value_coefficient + (policy.clone() - entropies);
+        let loss = value.clone() * config.vf_coef + (policy.clone() - entropies);
         let parts = vec![policy, value, blocks, moves];
         let gradient = self.engine.gradient(leaves, &(loss * share), &draws, spare);
         let sums = to_vec(Tensor::cat(parts, 0));

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::learning::{bandit, feed, small_setup};
 use crate::adam::LearningRate;
 use crate::checkpoint::{self, Checkpoint, CheckpointError, files};
-use crate::config::{AdaptiveRate, FixedRate, RateRule};
+use crate::config::{AdaptiveRate, FixedRate, LrSchedule};
 use crate::model::Model;
 use crate::state::LearnerState;
 use crate::{Learner, LearnerError, LearnerSetup};
@@ -53,7 +53,7 @@ fn resumed_learner_continues_bit_for_bit() {
 fn resumed_learner_takes_another_fixed_rate() {
     let dir = tempfile::tempdir().unwrap();
     let mut setup = small_setup(4);
-    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
     let path = Learner::new(setup.clone()).unwrap().save(dir.path()).unwrap();
     setup.config.optimizer.learning_rate = 1e-4;
     let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
@@ -70,7 +70,7 @@ fn resumed_learner_takes_another_adaptive_rate_or_other_bounds() {
     let resumed = |learning_rate, max, mut checkpoint: Checkpoint| {
         let mut setup = setup.clone();
         setup.config.optimizer.learning_rate = learning_rate;
-        setup.config.optimizer.rate_rule = RateRule::Adaptive(AdaptiveRate { max, ..Default::default() });
+        setup.config.optimizer.lr_schedule = LrSchedule::Adaptive(AdaptiveRate { max, ..Default::default() });
         checkpoint = Learner::resume(setup, checkpoint).unwrap().checkpoint();
         (checkpoint.state.learning_rate.0, checkpoint)
     };
@@ -244,9 +244,9 @@ fn model_round_trips_and_a_damaged_file_is_refused() {
     // From what is published, with a verdict.
     let published = Model::new(&checkpoint.model, &checkpoint.weights());
     assert_eq!(published, model);
-    let mut judged = published;
-    judged.verdict = Some(serde_json::json!({ "goals": "train" }));
-    assert_eq!(Model::from_bytes(&judged.to_bytes().unwrap(), path).unwrap(), judged);
+    let mut evaluated = published;
+    evaluated.verdict = Some(serde_json::json!({ "goals": "train" }));
+    assert_eq!(Model::from_bytes(&evaluated.to_bytes().unwrap(), path).unwrap(), evaluated);
     for broken in [&bytes[..bytes.len() - 1], &bytes[..100], b"", b"no such format"] {
         let error = Model::from_bytes(broken, path).unwrap_err().to_string();
         assert!(error.contains("somewhere/model.safetensors"), "{error}");

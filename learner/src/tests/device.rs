@@ -5,14 +5,14 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::learning::{bandit, feed, small_setup};
-use crate::config::{FixedRate, RateRule};
+use crate::config::{FixedRate, LrSchedule};
 use crate::{Learner, LearnerSetup};
 
 /// The paper's network, and one gradient step per update.
 fn setup(move_head: MoveHead) -> LearnerSetup {
     let mut setup = small_setup(1);
     setup.policy = PolicyConfig { network: NetworkConfig { move_head, ..Default::default() }, ..Default::default() };
-    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
     setup.config.n_epochs = 1;
     setup.config.minibatch_size = 256;
     setup

@@ -10,7 +10,7 @@ use proto::{ActionMode, Agent, BehaviorPolicy, Observation, Outcome, RewardTerms
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::config::{FixedRate, LearnerConfig, Objective, RateRule};
+use crate::config::{FixedRate, LearnerConfig, LrSchedule, Objective};
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::ppo::PIECE_SIZE;
 use crate::{Learner, LearnerSetup, Model};
@@ -20,11 +20,11 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 2, head_dim: 16, mlp_hidden: 32, ..Default::default() });
     let network = NetworkConfig { encoder, width: 16, value_hidden: vec![32], ..NetworkConfig::default() };
-    let config = LearnerConfig { steps_per_update: 256, minibatch_size: 64, ..LearnerConfig::default() };
+    let config = LearnerConfig { batch_size: 256, minibatch_size: 64, ..LearnerConfig::default() };
     LearnerSetup {
         config,
         policy: PolicyConfig { network, ..PolicyConfig::default() },
-        catalog: Arc::new(Catalog::builtin().clone()),
+        catalog: Catalog::builtin().clone(),
         tasks: vec![blueprint_id()],
         generated: None,
         settings: Default::default(),
@@ -70,7 +70,7 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
 fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut rates = Vec::new();
@@ -119,7 +119,7 @@ fn weights_are_independent_of_the_number_of_threads() {
     let weights = |n_threads| {
         let mut setup = small_setup(1);
         // Four pieces per minibatch, which three threads cannot share evenly.
-        (setup.config.steps_per_update, setup.config.minibatch_size) = (4 * PIECE_SIZE, 4 * PIECE_SIZE);
+        (setup.config.batch_size, setup.config.minibatch_size) = (4 * PIECE_SIZE, 4 * PIECE_SIZE);
         setup.config.n_threads = Some(n_threads);
         let mut learner = Learner::new(setup.clone()).unwrap();
         let trajectories = bandit(&setup, &learner.weights(), 4 * PIECE_SIZE, &mut ChaCha8Rng::seed_from_u64(3));
@@ -134,7 +134,7 @@ fn weights_are_independent_of_the_number_of_threads() {
 fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     let mut setup = small_setup(1);
     setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();
@@ -210,7 +210,7 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
     for learning_rate in [1e5, 1e38] {
         let mut setup = small_setup(1);
         setup.config.optimizer.learning_rate = learning_rate;
-        setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+        setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
         let mut learner = Learner::new(setup.clone()).unwrap();
         let first = learner.weights();
         let mut rng = ChaCha8Rng::seed_from_u64(2);

@@ -12,7 +12,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::learning::{bandit, feed, small_setup};
-use crate::config::{FixedRate, RateRule};
+use crate::config::{FixedRate, LrSchedule};
 use crate::{Learner, LearnerSetup, Model};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
@@ -25,7 +25,7 @@ pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
 fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
     let mut setup = mixture_setup(1);
     setup.config.optimizer.learning_rate = 1e-2;
-    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let is_join = |slot: u8| Slot::from_index(slot).unwrap().kind() == Kind::Join;

@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
-use crate::config::{FixedRate, RateRule};
+use crate::config::{FixedRate, LrSchedule};
 use crate::fixtures::Made;
 use crate::{Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Summary, run};
 use runlog::RunPaths;
@@ -137,7 +137,7 @@ async fn run_takes_as_many_steps_as_were_asked_for_and_no_whole_update_more() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let setup = small_setup(6);
-    assert_eq!(setup.config.steps_per_update, 256);
+    assert_eq!(setup.config.batch_size, 256);
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(6));
     // Segments of one step.
     let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 10, &mut rng)));
@@ -169,7 +169,7 @@ async fn training_that_diverges_stops_and_keeps_usable_weights() {
     let run_dir = RunPaths::new(dir.path().join("run"));
     let mut setup = small_setup(5);
     setup.config.optimizer.learning_rate = 1e5;
-    setup.config.optimizer.rate_rule = RateRule::Fixed(FixedRate {});
+    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
     setup.config.checkpoints.every_updates = 1;
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(1));
     let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 256, &mut rng)));

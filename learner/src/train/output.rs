@@ -58,7 +58,7 @@ pub(crate) struct Output {
     pub(crate) saving: Saving,
     pub(crate) save_retry: Duration,
     /// Steps of an update, and of the run.
-    pub(crate) steps_per_update: usize,
+    pub(crate) batch_size: usize,
     pub(crate) max_env_steps: Option<u64>,
     pub(crate) publications: mpsc::Sender<Publication>,
     /// Gets the metrics of every update too.
@@ -104,7 +104,7 @@ impl Output {
         let n_left = self.max_env_steps.map(|max| max.saturating_sub(learner.n_env_steps()));
         // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
         let is_over = n_left == Some(0) || self.is_stopped();
-        (!is_over).then(|| next_steps(self.steps_per_update, n_left))
+        (!is_over).then(|| next_steps(self.batch_size, n_left))
     }
 
     pub(super) fn is_stopped(&self) -> bool {

@@ -57,7 +57,7 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
             BehaviorPolicy::Expert => wire::BehaviorPolicy::Expert,
         }
         .into(),
-        n_burn_in_steps: trajectory.n_burn_in_steps.into(),
+        n_warm_start_steps: trajectory.n_warm_start_steps.into(),
         checksum: None,
     }
     .encode_to_vec()
@@ -134,7 +134,7 @@ fn from_wire(message: wire::Trajectory) -> Result<Trajectory, DecodeError> {
         settings_hash: message.settings_hash,
         task: task_from_wire(present("task", message.task)?)?,
         first_step: narrow("first_step", message.first_step, "a number in 0..=65535")?,
-        n_burn_in_steps: narrow("n_burn_in_steps", message.n_burn_in_steps, "a number in 0..=65535")?,
+        n_warm_start_steps: narrow("n_warm_start_steps", message.n_warm_start_steps, "a number in 0..=65535")?,
         transitions: message.transitions.into_iter().map(transition_from_wire).collect::<Result<_, _>>()?,
         last_scene: scene_from_wire(present("last_scene", message.last_scene)?)?,
         status: status_from_wire(message.status)?,
@@ -179,8 +179,12 @@ fn named(grippers: [bool; N_GRIPPERS]) -> &'static str {
 }
 
 fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
-    if ![0, trajectory.first_step].contains(&trajectory.n_burn_in_steps) {
-        return Err(invalid("n_burn_in_steps", trajectory.n_burn_in_steps, "0, or first_step on the first segment"));
+    if ![0, trajectory.first_step].contains(&trajectory.n_warm_start_steps) {
+        return Err(invalid(
+            "n_warm_start_steps",
+            trajectory.n_warm_start_steps,
+            "0, or first_step on the first segment",
+        ));
     }
     let ended = trajectory.status != Status::Running;
     let Some(outcome) = trajectory.outcome else {

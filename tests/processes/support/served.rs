@@ -28,7 +28,7 @@ pub(crate) fn interrupt(process: &Process) {
 pub(crate) fn train(command: &mut Command) -> &mut Command {
     command.args(["train", "--preset", "near-goal", "--run-dir", "run"]);
     for setting in [
-        "learner.steps_per_update=256",
+        "learner.batch_size=256",
         "actor.n_worlds=8",
         "evaluator.episodes.n_episodes=2",
         "policy.network.width=16",

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use proto::metrics::{FilmCounts, IngestCounts};
+use proto::metrics::{IngestCounts, VideoCounts};
 use ratatui::text::Line;
 use serde::Serialize;
 
@@ -33,8 +33,8 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         let all = &evaluation.all;
         drops.add("evaluator", "diverged", all.greedy.n_diverged.saturating_add(all.sampled.n_diverged));
         drops.add_all("evaluator's bus", &evaluation.bus);
-        if let Some(films) = evaluation.films {
-            drops.add_all("films", &FilmCounts { written_total: 0, n_waiting: 0, ..films });
+        if let Some(videos) = evaluation.videos {
+            drops.add_all("videos", &VideoCounts { written_total: 0, n_waiting: 0, ..videos });
         }
     }
     drops.add_all("watch", &run.unread());

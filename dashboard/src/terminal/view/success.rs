@@ -18,9 +18,9 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
     };
     let summary = &heard.value;
     let (version, n_env_steps) = (summary.weights_version.0, count(summary.n_env_steps));
-    let judged = age(now, heard.at);
+    let evaluated = age(now, heard.at);
     let title = match n_so_far(summary) {
-        None => format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {judged}"),
+        None => format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {evaluated}"),
         Some(n) => {
             let n_planned = summary.n_planned;
             format!("Success in % so far, {n} of {n_planned} episodes: weights {version}, {n_env_steps} steps")
@@ -34,7 +34,7 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
         )),
     ];
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
-    lines.extend(extremes(&run.judged_blueprints(), summary, width));
+    lines.extend(extremes(&run.evaluated_blueprints(), summary, width));
     lines
 }
 
@@ -58,8 +58,8 @@ fn group(group: &EvalGroup) -> Line<'static> {
 
 /// Lists all blueprints of the newest evaluation: heading and column names, and the rows in this order.
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
-    let mut blueprints = run.judged_blueprints();
-    let judged = run.evaluation().map_or_else(String::new, |heard| {
+    let mut blueprints = run.evaluated_blueprints();
+    let evaluated = run.evaluation().map_or_else(String::new, |heard| {
         let version = heard.value.weights_version.0;
         match n_so_far(&heard.value) {
             None => format!(": weights {version}, evaluated {}", age(now, heard.at)),
@@ -98,7 +98,7 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
         "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
         "blueprint", "blocks", "        greedy (95 %)", "of", " sampled (95 %)", "of"
     ));
-    let title = heading(format!("Success by blueprint in %{judged}"));
+    let title = heading(format!("Success by blueprint in %{evaluated}"));
     (vec![title, heads], blueprints.iter().map(row).collect())
 }
 

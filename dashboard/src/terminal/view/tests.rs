@@ -238,16 +238,16 @@ fn names_from_the_bus_cannot_touch_the_terminal() {
 }
 
 #[test]
-fn films_that_were_not_made_are_listed() {
+fn videos_that_were_not_made_are_listed() {
     let mut evaluation = samples::evaluation();
-    evaluation.value["films"] = serde_json::json!({
+    evaluation.value["videos"] = serde_json::json!({
         "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 0, "unrecorded_total": 4,
         "oversized_total": 0,
     });
     let mut run = RunView::default();
     run.take(&evaluation, seconds(21));
     let text = text(&run, &source(), seconds(42));
-    assert!(text.contains("\n  evaluator: diverged 2  films: dropped 2  films: unrecorded 4"), "{text}");
+    assert!(text.contains("\n  evaluator: diverged 2  videos: dropped 2  videos: unrecorded 4"), "{text}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 import { Attention } from "./attention.js";
 import { drawBeside, drawCurves, drawGroups } from "./curves.js";
 import { Editor } from "./editor.js";
-import { askFilms, filmOf } from "./films.js";
+import { askVideos, videoOf } from "./videos.js";
 import { $, count, decimal, element, interval, minutes, percent, sentence } from "./format.js";
 import { drawDrops, drawHealth, drawRoster, toPoint } from "./health.js";
 import { Heat } from "./heat.js";
@@ -13,7 +13,7 @@ import { apart3, placed } from "./solid.js";
 import { Stage } from "./stage.js";
 import { Terms } from "./terms.js";
 
-/** @import { About, Acting, Film, History, Pass, Roster, Row } from "./types" */
+/** @import { About, Acting, Video, History, Pass, Roster, Row } from "./types" */
 
 const heat = new Heat($("heat"), $("heat-cell"), openCell);
 const replay = new Replay({
@@ -40,7 +40,7 @@ const editor = new Editor(stage, {
   match: $("draw-match"), name: $("draw-name"), policy: $("draw-policy"), expert: $("draw-expert"), save: $("draw-save"),
   file: $("draw-file"), copy: $("draw-copy"),
 });
-const openFilm = (/** @type {Film} */ film) => openRecording(replay, $("replay-note"), film);
+const openVideo = (/** @type {Video} */ video) => openRecording(replay, $("replay-note"), video);
 $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
 
 /**
@@ -49,9 +49,9 @@ $("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note
  * @param {Pass} pass
  */
 async function openCell({ id }, pass) {
-  const recorded = await filmOf(id, pass.weights_version);
+  const recorded = await videoOf(id, pass.weights_version);
   if (recorded) {
-    openFilm(recorded);
+    openVideo(recorded);
     return;
   }
   if (!model.about || !model.about.can_play || (isCopy && !stage.only.includes(id))) return;
@@ -146,7 +146,7 @@ function introduce(about) {
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
   if (!about.can_play) {
     ["stage-bar", "draw"].forEach((id) => $(id).remove());
-    $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its films.";
+    $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its videos.";
   }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
@@ -208,9 +208,9 @@ function part(reason, command) {
     served.disabled = reason !== null;
     served.title = reason || "";
   }
-  // Films that have not been loaded cannot be.
-  const films = /** @type {NodeListOf<HTMLVideoElement>} */ (document.querySelectorAll("#films video"));
-  for (const film of films) film.controls = reason === null || film.readyState > 0;
+  // Videos that have not been loaded cannot be.
+  const videos = /** @type {NodeListOf<HTMLVideoElement>} */ (document.querySelectorAll("#videos video"));
+  for (const video of videos) video.controls = reason === null || video.readyState > 0;
   document.querySelector("footer").hidden = reason !== null;
   $("farewell").hidden = reason === null;
   if (reason === null) return;
@@ -298,12 +298,12 @@ function listen() {
   on("pass", () => {
     askHistory();
     // Clips are rendered one by one after the evaluation.
-    [5, 20, 60].forEach((seconds) => setTimeout(() => askFilms($("films"), $("films-note"), openFilm), 1000 * seconds));
+    [5, 20, 60].forEach((seconds) => setTimeout(() => askVideos($("videos"), $("videos-note"), openVideo), 1000 * seconds));
   });
   on("ended", async ({ ended, command }) => {
     // The page closes once it has what came last, for which the server waits a moment.
     source.onerror = null;
-    await Promise.all([askHistory(), askFilms($("films"), $("films-note"), openFilm)]);
+    await Promise.all([askHistory(), askVideos($("videos"), $("videos-note"), openVideo)]);
     source.close();
     say("ended", "ended");
     part(`${sentence(ended)} has ended.`, command);
@@ -313,7 +313,7 @@ function listen() {
     part(null);
     say("live", model.about && model.about.kind === "finished" ? "finished" : "live");
     askHistory();
-    askFilms($("films"), $("films-note"), openFilm);
+    askVideos($("videos"), $("videos-note"), openVideo);
   };
   source.onerror = () => {
     say("away", "reconnecting");
@@ -356,7 +356,7 @@ async function begin() {
   document.querySelector("footer").remove();
   say("live", "a copy");
   askHistory();
-  askFilms($("films"), $("films-note"), openFilm);
+  askVideos($("videos"), $("videos-note"), openVideo);
 }
 // For the console and for tests in a browser, which see only what the window has. No module reads these there.
 Object.assign(window, { apart3, editor, heat, placed, replay });

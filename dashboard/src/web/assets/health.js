@@ -146,8 +146,8 @@ export function drawDrops(table, actors, learner, summary) {
     for (const [reason, n] of Object.entries(actor.bus || {})) add("actors' bus", words(reason), n);
   }
   for (const [reason, n] of Object.entries((summary && summary.bus) || {})) add("evaluator's bus", words(reason), n);
-  for (const [reason, n] of Object.entries((summary && summary.films) || {})) {
-    if (!["written_total", "n_waiting"].includes(reason)) add("films", words(reason), n);
+  for (const [reason, n] of Object.entries((summary && summary.videos) || {})) {
+    if (!["written_total", "n_waiting"].includes(reason)) add("videos", words(reason), n);
   }
   if (learner) {
     for (const [reason, n] of Object.entries(learner.ingest || {})) {

@@ -48,6 +48,6 @@ export const model = {
  */
 export function answerAt(base, name, id) {
   if (!isCopy) return `${base}/api/${name}${id === undefined ? "" : `?id=${encodeURIComponent(id)}`}`;
-  const ending = { film: "mp4", picture: "png", poster: "png" }[name] || "json";
+  const ending = { video: "mp4", picture: "png", poster: "png" }[name] || "json";
   return `.${base}/api/${name}${id === undefined ? "" : `/${id}`}.${ending}`;
 }

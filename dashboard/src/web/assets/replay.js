@@ -8,7 +8,7 @@ import { apart3, between, placed } from "./solid.js";
 /** @import { Attention } from "./attention.js" */
 /** @import { Space } from "./space.js" */
 /** @import { Terms } from "./terms.js" */
-/** @import { Box, Episode, Film, Scene, Vector } from "./types" */
+/** @import { Box, Episode, Video, Scene, Vector } from "./types" */
 
 /** @type {Promise<typeof import("./space.js")> | null} */
 let spaceModule = null;
@@ -113,7 +113,7 @@ export class Replay {
       this.space ||= new Space(this.parts.canvas, () => { this.follows = false; });
       return true;
     } catch {
-      this.parts.note.textContent = "This browser cannot draw in 3D (WebGL is off or missing), or the program does not answer. The films below do not need WebGL.";
+      this.parts.note.textContent = "This browser cannot draw in 3D (WebGL is off or missing), or the program does not answer. The videos below do not need WebGL.";
       return false;
     }
   }
@@ -332,13 +332,13 @@ export async function present(replay, episode, ended) {
  * Plays the episode of a video clip.
  * @param {Replay} replay
  * @param {HTMLElement} note
- * @param {Film} film
+ * @param {Video} video
  */
-export async function openRecording(replay, note, film) {
+export async function openRecording(replay, note, video) {
   /** @type {Episode | null} */
   let episode = null;
   try {
-    const answer = await fetch(answerAt(model.base, "recording", film.id));
+    const answer = await fetch(answerAt(model.base, "recording", video.id));
     if (answer.ok) episode = await answer.json();
   } catch {
     note.textContent = NO_ANSWER;
@@ -348,7 +348,7 @@ export async function openRecording(replay, note, film) {
     note.textContent = "That recording no longer exists.";
     return;
   }
-  note.textContent = `${film.blueprint}, ${film.ending} in an evaluation of weights ${film.weights_version}`;
+  note.textContent = `${video.blueprint}, ${video.ending} in an evaluation of weights ${video.weights_version}`;
   await present(replay, episode);
   $("replay-title").scrollIntoView();
 }

@@ -120,7 +120,7 @@ export interface Summary {
   n_planned: number;
   all: Record<Acting, { success: Rate }>;
   bus?: Totals;
-  films?: Totals;
+  videos?: Totals;
 }
 
 /** The names of the processes that are alive. */
@@ -146,8 +146,8 @@ export interface About {
   recorded?: string[];
 }
 
-/** An entry of `/api/films`. */
-export interface Film {
+/** An entry of `/api/videos`. */
+export interface Video {
   id: string;
   blueprint: string;
   weights_version: number;

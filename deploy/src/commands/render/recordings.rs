@@ -75,13 +75,13 @@ fn add(recordings: &mut Vec<Recording>, path: &Path, segment: Trajectory) {
             known.segments.push(segment);
         }
         None => {
-            let name = path.file_stem().unwrap_or(OsStr::new("film")).to_owned();
+            let name = path.file_stem().unwrap_or(OsStr::new("video")).to_owned();
             recordings.push(Recording { name, files: vec![path.to_owned()], segments: vec![segment] });
         }
     }
 }
 
-/// The files of all recordings of a run with names for their films, ordered by blueprint and weights version.
+/// The files of all recordings of a run with names for their videos, ordered by blueprint and weights version.
 fn of_run(run: &Path) -> Result<Vec<(OsString, PathBuf)>, Failure> {
     let replays = RunPaths::new(run).replays();
     let nothing = |reason: &str| {
@@ -194,7 +194,7 @@ mod tests {
             },
             behavior_policy: BehaviorPolicy::Greedy,
             first_step: first,
-            n_burn_in_steps: 0,
+            n_warm_start_steps: 0,
             transitions: vec![transition; usize::from(last - first)],
             last_scene: scene,
             status: Status::Running,

@@ -222,14 +222,24 @@ mod tests {
 
     #[test]
     fn every_point_has_all_settings_and_every_seed_a_run_of_each() {
-        let args =
-            ["--preset", "near-goal", "--set", "learner.lambda=0.9", "--steps", "1e3", "--seed", "7", "--seeds", "2"];
+        let args = [
+            "--preset",
+            "near-goal",
+            "--set",
+            "learner.gae_lambda=0.9",
+            "--steps",
+            "1e3",
+            "--seed",
+            "7",
+            "--seeds",
+            "2",
+        ];
         let plan = plan(&[&args[..], &["--grid", "learner.gamma=0.9,0.95", "--grid", "ablation=none,resnet"]].concat());
         let plan = plan.unwrap();
         let config = |i: usize| Config::parse(&plan.points[i].config, "point").unwrap();
         assert_eq!(plan.points.len(), 4);
         let first = config(0);
-        assert_eq!((first.learner.gamma, first.learner.lambda, first.n_env_steps), (0.9, 0.9, 1000));
+        assert_eq!((first.learner.gamma, first.learner.gae_lambda, first.n_env_steps), (0.9, 0.9, 1000));
         assert!(first.evaluator.evaluate_last);
         assert_eq!(config(3).learner.gamma, 0.95);
         assert_ne!(config(3).policy.network.encoder, first.policy.network.encoder);

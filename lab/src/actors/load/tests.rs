@@ -44,7 +44,7 @@ fn segment(n_steps: usize) -> Trajectory {
         },
         behavior_policy: BehaviorPolicy::Sampled,
         first_step: 0,
-        n_burn_in_steps: 0,
+        n_warm_start_steps: 0,
         transitions: vec![transition; n_steps],
         last_scene: scene,
         status: Status::Running,

@@ -120,7 +120,7 @@ fn inconsistent_endings_are_refused() {
         |t| t.outcome.as_mut().unwrap().success = false,
         "outcome.success is false, expected true when the status is success",
     );
-    check(|t| t.n_burn_in_steps = 41, "n_burn_in_steps is 41, expected 0, or first_step on the first segment");
+    check(|t| t.n_warm_start_steps = 41, "n_warm_start_steps is 41, expected 0, or first_step on the first segment");
     check(|t| t.first_step = 1, "outcome.n_steps is 42, expected first_step plus the number of transitions");
 }
 

@@ -63,7 +63,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 40,
-        n_burn_in_steps: 0,
+        n_warm_start_steps: 0,
         transitions: vec![transition(0.5), transition(0.75)],
         last_scene: scene(1.0),
         status: Status::Running,

@@ -1,4 +1,4 @@
-//! Video clips and their recordings: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
+//! Video videos and their recordings: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
 
 use std::fs;
 use std::io;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use blueprints::BlueprintId;
 use proto::WeightsVersion;
 
-/// The outcome of a clip's episode.
+/// The outcome of a video's episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Ending {
     /// The blueprint was completed.
@@ -32,12 +32,12 @@ impl Ending {
 /// File extension of recordings.
 pub const RECORDING: &str = "trajectory";
 
-/// A store for clip files of one kind.
+/// A store for video files of one kind.
 #[derive(Clone, Debug)]
-pub struct ClipStore {
+pub struct VideoStore {
     /// The folder with one subfolder per blueprint.
     pub folder: PathBuf,
-    /// File extension of the clips.
+    /// File extension of the videos.
     pub kind: &'static str,
     /// Number of files kept per blueprint and ending.
     pub keep: usize,
@@ -45,16 +45,16 @@ pub struct ClipStore {
 
 /// The fields of a file name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct ClipName {
+pub struct VideoName {
     /// Version of the acting weights.
     pub version: WeightsVersion,
     /// The outcome of the episode.
     pub ending: Ending,
-    /// Number among clips of the same version and ending, from 1; the file name omits a 1.
+    /// Number among videos of the same version and ending, from 1; the file name omits a 1.
     pub number: u32,
 }
 
-impl ClipName {
+impl VideoName {
     /// Returns the file name without the extension; the names of a blueprint sort by version.
     pub fn name(&self) -> String {
         let (version, ending) = (self.version.0, self.ending.name());
@@ -76,13 +76,13 @@ impl ClipName {
     }
 }
 
-impl ClipStore {
-    /// Writes a file atomically through a temporary name, and removes the oldest files beyond the limit. Clips of newer
+impl VideoStore {
+    /// Writes a file atomically through a temporary name, and removes the oldest files beyond the limit. Videos of newer
     /// versions are from before the run went back to an older checkpoint, so they count as the oldest.
     ///
     /// # Errors
     /// If writing fails.
-    pub fn put(&self, blueprint: &BlueprintId, label: ClipName, bytes: &[u8]) -> io::Result<PathBuf> {
+    pub fn put(&self, blueprint: &BlueprintId, label: VideoName, bytes: &[u8]) -> io::Result<PathBuf> {
         let folder = self.folder.join(blueprint.as_str());
         fs::create_dir_all(&folder)?;
         let (name, kind) = (label.name(), self.kind);
@@ -93,12 +93,12 @@ impl ClipStore {
         Ok(path)
     }
 
-    fn remove_old(&self, folder: &Path, newest: ClipName) -> io::Result<()> {
+    fn remove_old(&self, folder: &Path, newest: VideoName) -> io::Result<()> {
         let mut found = Vec::new();
         for entry in fs::read_dir(folder)? {
             let name = entry?.file_name();
             let label = name.to_str().and_then(|name| name.strip_suffix(self.kind)?.strip_suffix('.'));
-            found.extend(label.and_then(ClipName::of).filter(|label| label.ending == newest.ending));
+            found.extend(label.and_then(VideoName::of).filter(|label| label.ending == newest.ending));
         }
         found.sort_unstable_by_key(|&label| (label.version <= newest.version, label));
         let n_old = found.len().saturating_sub(self.keep);
@@ -108,9 +108,9 @@ impl ClipStore {
     }
 }
 
-/// A clip in a folder of clips.
+/// A video in a folder of videos.
 #[derive(Clone, Debug)]
-pub struct Clip {
+pub struct VideoFile {
     /// The file's path.
     pub path: PathBuf,
     /// The goal.
@@ -119,12 +119,12 @@ pub struct Clip {
     pub version: WeightsVersion,
     /// `success` or `failure`.
     pub ending: &'static str,
-    /// Number from 1, as in [`ClipName`].
+    /// Number from 1, as in [`VideoName`].
     pub number: u32,
 }
 
-/// Returns the clips of a folder, newest first, without foreign files; empty if the folder cannot be read.
-pub fn clips(folder: &Path) -> Vec<Clip> {
+/// Returns the videos of a folder, newest first, without foreign files; empty if the folder cannot be read.
+pub fn videos(folder: &Path) -> Vec<VideoFile> {
     let names = |folder: &Path| {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
         entries.filter_map(|entry| entry.file_name().into_string().ok()).collect::<Vec<_>>()
@@ -133,13 +133,14 @@ pub fn clips(folder: &Path) -> Vec<Clip> {
     for blueprint in names(folder).into_iter().filter_map(|name| BlueprintId::try_from(name).ok()) {
         let own = folder.join(blueprint.as_str());
         for name in names(&own) {
-            let Some(label) = name.strip_suffix(".mp4").and_then(ClipName::of) else { continue };
-            let ClipName { version, ending, number } = label;
+            let Some(label) = name.strip_suffix(".mp4").and_then(VideoName::of) else { continue };
+            let VideoName { version, ending, number } = label;
             let (path, blueprint) = (own.join(&name), blueprint.clone());
-            found.push(Clip { path, blueprint, version, ending: ending.name(), number });
+            found.push(VideoFile { path, blueprint, version, ending: ending.name(), number });
         }
     }
-    let order = |clip: &Clip| (std::cmp::Reverse(clip.version), clip.blueprint.clone(), clip.ending, clip.number);
+    let order =
+        |video: &VideoFile| (std::cmp::Reverse(video.version), video.blueprint.clone(), video.ending, video.number);
     found.sort_by_key(order);
     found
 }
@@ -148,25 +149,25 @@ pub fn clips(folder: &Path) -> Vec<Clip> {
 mod tests {
     use super::*;
 
-    fn label(version: u64, ending: Ending, number: u32) -> ClipName {
-        ClipName { version: WeightsVersion(version), ending, number }
+    fn label(version: u64, ending: Ending, number: u32) -> VideoName {
+        VideoName { version: WeightsVersion(version), ending, number }
     }
 
     #[test]
     fn clip_name_round_trips_and_foreign_names_are_rejected() {
         for expected in [label(7, Ending::Success, 1), label(123_456_789, Ending::Failure, 3)] {
-            assert_eq!(ClipName::of(&expected.name()), Some(expected));
+            assert_eq!(VideoName::of(&expected.name()), Some(expected));
         }
         assert_eq!(label(7, Ending::Success, 1).name(), "00000007-success");
         for foreign in ["7-success", "00000007-best", "00000007-success-1", "00000007-success-x", "mine", "00000007"] {
-            assert_eq!(ClipName::of(foreign), None, "{foreign}");
+            assert_eq!(VideoName::of(foreign), None, "{foreign}");
         }
     }
 
     #[test]
     fn newest_clips_of_each_ending_and_foreign_files_stay() {
         let dir = tempfile::tempdir().unwrap();
-        let store = ClipStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
+        let store = VideoStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
         let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
         let folder = dir.path().join("2_000");
         fs::create_dir(&folder).unwrap();
@@ -174,28 +175,28 @@ mod tests {
             fs::write(folder.join(foreign), "").unwrap();
         }
         for version in [1, 2, 3] {
-            store.put(&blueprint, label(version, Ending::Success, 1), b"film").unwrap();
+            store.put(&blueprint, label(version, Ending::Success, 1), b"video").unwrap();
         }
-        store.put(&blueprint, label(1, Ending::Failure, 1), b"film").unwrap();
+        store.put(&blueprint, label(1, Ending::Failure, 1), b"video").unwrap();
         let mut names: Vec<String> =
             fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
         assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
-        // The page shows only our own clips, newest first.
-        let shown: Vec<_> = clips(dir.path()).into_iter().map(|film| (film.version.0, film.ending)).collect();
+        // The page shows only our own videos, newest first.
+        let shown: Vec<_> = videos(dir.path()).into_iter().map(|video| (video.version.0, video.ending)).collect();
         assert_eq!(shown, [(3, "success"), (2, "success"), (1, "failure")]);
-        assert!(clips(&dir.path().join("nowhere")).is_empty());
+        assert!(videos(&dir.path().join("nowhere")).is_empty());
     }
 
     #[test]
     fn after_a_return_to_an_older_checkpoint_new_clips_replace_abandoned_ones() {
         let dir = tempfile::tempdir().unwrap();
-        let store = ClipStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
+        let store = VideoStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
         let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
         let kept = |version| {
-            store.put(&blueprint, label(version, Ending::Success, 1), b"film").unwrap();
-            clips(dir.path()).into_iter().map(|clip| clip.version.0).collect::<Vec<_>>()
+            store.put(&blueprint, label(version, Ending::Success, 1), b"video").unwrap();
+            videos(dir.path()).into_iter().map(|video| video.version.0).collect::<Vec<_>>()
         };
         assert_eq!([700, 800, 301, 302].map(kept), [vec![700], vec![800, 700], vec![800, 301], vec![302, 301]]);
     }

@@ -1,7 +1,7 @@
-//! Films made by a running evaluator: for each group, a success and a failure.
+//! Videos made by a running evaluator: for each group, a success and a failure.
 //!
 //! Reading order: [`selector`] (chooses the episodes to record) → `queue` → `recorder` (the rendering thread).
-//! [`runlog::clips`] defines where the files are stored.
+//! [`runlog::videos`] defines where the files are stored.
 
 mod queue;
 mod recorder;

@@ -1,4 +1,4 @@
-//! Films of a training, of its recordings, of a running actor, and of what a network attends to.
+//! Videos of a training, of its recordings, of a running actor, and of what a network attends to.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -13,7 +13,7 @@ const SMALL: [&str; 12] = [
     "--preset",
     "near-goal",
     "--set",
-    "learner.steps_per_update=256",
+    "learner.batch_size=256",
     "--set",
     "learner.minibatch_size=256",
     "--set",
@@ -50,7 +50,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// Number of steps of a film's episode, as the program prints it.
+/// Number of steps of a video's episode, as the program prints it.
 fn n_steps(printed: &Output, name: &str) -> u64 {
     let text = String::from_utf8_lossy(&printed.stdout);
     let line = text.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name} in {text}"));
@@ -58,7 +58,7 @@ fn n_steps(printed: &Output, name: &str) -> u64 {
 }
 
 #[test]
-fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
+fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     let endpoint = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
@@ -66,8 +66,8 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     training.args(["train", "--run-dir", "run", "--listen", &endpoint]).args(SMALL).env("RUST_LOG", "evaluator=debug");
     let mut training = Process(training.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(training.0.stderr.take().unwrap()).lines().map(Result::unwrap);
-    let filmed = lines.by_ref().find(|line| line.contains("a film of an evaluation"));
-    assert!(filmed.is_some(), "the first pass has an end, whatever it is");
+    let recorded = lines.by_ref().find(|line| line.contains("a video of an evaluation"));
+    assert!(recorded.is_some(), "the first pass has an end, whatever it is");
     // A full pipe would block the program, so keep reading its log.
     let rest = std::thread::spawn(move || lines.count());
 
@@ -80,10 +80,10 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     assert!(training.0.wait().unwrap().success());
     rest.join().unwrap();
     let replays = files(&run.join("replays"));
-    let shown = finished(lodestone(folder.path()).args(["render", "run", "--out", "films", "--fps", "10"]));
-    let films = files(&folder.path().join("films"));
-    assert_eq!(films.len(), replays.len());
-    let stem = films[0].file_stem().unwrap().to_str().unwrap().to_owned();
+    let shown = finished(lodestone(folder.path()).args(["render", "run", "--out", "videos", "--fps", "10"]));
+    let videos = files(&folder.path().join("videos"));
+    assert_eq!(videos.len(), replays.len());
+    let stem = videos[0].file_stem().unwrap().to_str().unwrap().to_owned();
     let with_weights = ["render", "run", "--out", "seen", "--format", "png-strip", "--attention", "run"];
     finished(lodestone(folder.path()).args(with_weights));
     assert!(fs::read(folder.path().join(format!("seen/{stem}-attention.png"))).unwrap().starts_with(b"\x89PNG"));
@@ -100,20 +100,20 @@ fn a_training_is_filmed_while_it_runs_and_can_be_shown_again() {
     let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
     assert!(lines.by_ref().any(|line| line.starts_with("page at http://127.0.0.1:")));
-    assert!(lines.by_ref().any(|line| line.starts_with("train 2_001")), "it is judged once");
+    assert!(lines.by_ref().any(|line| line.starts_with("train 2_001")), "it is evaluated once");
     finished(Command::new("kill").args(["-TERM", &playing.0.id().to_string()]));
     assert!(playing.0.wait().unwrap().success());
     assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
 
     let Some(python) = python() else { return };
     // 960 × 540 by default. A tenth of a second for every step and for the first scene, and 2 s for the last scene.
-    let told = told_by(&python, "frames.py", &[&films[0].display().to_string()]);
+    let told = told_by(&python, "frames.py", &[&videos[0].display().to_string()]);
     let expected = n_steps(&shown, &stem) + 1 + 20;
     assert_eq!(told, serde_json::json!({ "n_frames": expected, "size": [960, 540], "fps": 10.0 }));
     let made = files(&run.join("videos"));
     let told = told_by(&python, "frames.py", &[&made[0].display().to_string()]);
     assert_eq!((&told["size"], &told["fps"]), (&serde_json::json!([640, 360]), &serde_json::json!(20.0)));
-    let pictures = told_by(&python, "pictures.py", &[&run.join("tb/evaluator/films").display().to_string()]);
+    let pictures = told_by(&python, "pictures.py", &[&run.join("tb/evaluator/videos").display().to_string()]);
     let (tag, pictures) = pictures.as_object().unwrap().iter().next().unwrap();
     assert!(["train-2-6/success", "train-2-6/failure"].contains(&tag.as_str()), "{tag}");
     let picture = &pictures[0];
@@ -128,12 +128,12 @@ fn what_cannot_be_shown_is_said() {
     fs::create_dir_all(folder.path().join("empty/replays")).unwrap();
     fs::create_dir(folder.path().join("other")).unwrap();
     for (args, code, words) in [
-        (&["render", "empty", "--out", "films"][..], 66, "no recordings yet"),
-        (&["render", "other", "--out", "films"], 66, "no folder of a run"),
-        (&["render", "empty", "--out", "films", "--attention", "gone"], 66, "gone"),
-        (&["render", "--out", "films"], 2, "<FILE_OR_RUN>"),
-        (&["render", "empty", "--connect", "tcp/127.0.0.1:1", "--out", "films"], 2, "--connect"),
-        (&["render", "--connect", "unixsock-stream//gone/bus.sock", "--timeout", "1", "--out", "films"], 65, "gone"),
+        (&["render", "empty", "--out", "videos"][..], 66, "no recordings yet"),
+        (&["render", "other", "--out", "videos"], 66, "no folder of a run"),
+        (&["render", "empty", "--out", "videos", "--attention", "gone"], 66, "gone"),
+        (&["render", "--out", "videos"], 2, "<FILE_OR_RUN>"),
+        (&["render", "empty", "--connect", "tcp/127.0.0.1:1", "--out", "videos"], 2, "--connect"),
+        (&["render", "--connect", "unixsock-stream//gone/bus.sock", "--timeout", "1", "--out", "videos"], 65, "gone"),
     ] {
         let output = lodestone(folder.path()).args(args).output().unwrap();
         let told = String::from_utf8_lossy(&output.stderr);

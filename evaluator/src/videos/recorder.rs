@@ -1,6 +1,6 @@
-//! The thread that renders films.
+//! The thread that renders videos.
 //!
-//! An evaluation never waits for films: when the queue is full, new episodes are counted and dropped.
+//! An evaluation never waits for videos: when the queue is full, new episodes are counted and dropped.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,17 +10,17 @@ use std::thread::JoinHandle;
 use anyhow::Context;
 use blueprints::Catalog;
 use proto::codec::encode_recording;
-use proto::metrics::FilmCounts;
+use proto::metrics::VideoCounts;
 use proto::{Role, Weights};
 use runlog::tensorboard::{EventWriter, Picture, event_files};
 
-use super::queue::{Clip, ClipQueue, Made};
+use super::queue::{ClipQueue, Made, VideoRequest};
 use super::selector::EpisodeSelector;
-use crate::config::FilmsConfig;
+use crate::config::VideosConfig;
 use proto::ActionMode;
-use render::video::{Episode, Film, Miniature, miniature, mp4};
+use render::video::{Episode, Miniature, Video, miniature, mp4};
 use runlog::RunPaths;
-use runlog::clips::{ClipName, ClipStore, RECORDING};
+use runlog::videos::{RECORDING, VideoName, VideoStore};
 
 /// Width of the frames in pixels.
 const WIDTH_PX: usize = 640;
@@ -28,16 +28,16 @@ const WIDTH_PX: usize = 640;
 /// Frames per second; a second is ten timesteps.
 const FPS: u32 = 20;
 
-/// Number of films kept per blueprint and ending (success or failure). Older films are removed with their recordings.
+/// Number of videos kept per blueprint and ending (success or failure). Older videos are removed with their recordings.
 const N_KEPT: usize = 10;
 
-/// Space for small TensorBoard films, in megabytes. When it is full, the older half is deleted.
+/// Space for small TensorBoard videos, in megabytes. When it is full, the older half is deleted.
 const TENSORBOARD_MB: u64 = 64;
 
 /// A thread that renders the episodes that evaluations put on its queue.
 #[derive(Debug)]
 pub(crate) struct VideoRecorder {
-    config: FilmsConfig,
+    config: VideosConfig,
     queue: Arc<ClipQueue>,
     /// `None` once closed.
     thread: Option<JoinHandle<()>>,
@@ -45,14 +45,14 @@ pub(crate) struct VideoRecorder {
 
 /// The files that the thread writes.
 struct Files {
-    videos: ClipStore,
-    replays: ClipStore,
+    videos: VideoStore,
+    replays: VideoStore,
     reel: Reel,
     /// The catalog of goals.
-    catalog: &'static Catalog,
+    catalog: Arc<Catalog>,
 }
 
-/// Small films for TensorBoard, in two files. When the newer file is full, the older one is deleted.
+/// Small videos for TensorBoard, in two files. When the newer file is full, the older one is deleted.
 pub(super) struct Reel {
     folder: PathBuf,
     writer: EventWriter,
@@ -61,24 +61,20 @@ pub(super) struct Reel {
     n_bytes: u64,
     /// Maximum size of one file.
     max_bytes: u64,
-    /// Whether an earlier process left films that this one has not gone on from yet.
+    /// Whether an earlier process left videos that this one has not gone on from yet.
     goes_on: bool,
 }
 
 impl VideoRecorder {
-    /// Starts the thread. Returns `None` if no films are requested.
+    /// Starts the thread. Returns `None` if no videos are requested.
     ///
     /// # Errors
     /// If the event file or the thread cannot be created.
-    pub(crate) fn open(
-        config: &FilmsConfig,
-        paths: &RunPaths,
-        catalog: &'static Catalog,
-    ) -> anyhow::Result<Option<Self>> {
+    pub(crate) fn open(config: &VideosConfig, paths: &RunPaths, catalog: Arc<Catalog>) -> anyhow::Result<Option<Self>> {
         if !config.any() {
             return Ok(None);
         }
-        let store = |folder, kind| ClipStore { folder, kind, keep: N_KEPT };
+        let store = |folder, kind| VideoStore { folder, kind, keep: N_KEPT };
         let tensorboard = paths.tensorboard(Role::Evaluator);
         let reel = Reel::create(&tensorboard, TENSORBOARD_MB)
             .with_context(|| format!("writing to {}", tensorboard.display()))?;
@@ -87,39 +83,39 @@ impl VideoRecorder {
         let queue = Arc::new(ClipQueue::default());
         let its_queue = queue.clone();
         let work = move || {
-            while let Some(clip) = its_queue.next() {
+            while let Some(request) = its_queue.next() {
                 let is_late = its_queue.is_closed();
-                its_queue.note(files.keep(&clip, is_late), &clip);
+                its_queue.note(files.keep(&request, is_late), &request);
             }
         };
-        let thread = std::thread::Builder::new().name("films".to_owned()).spawn(work)?;
+        let thread = std::thread::Builder::new().name("videos".to_owned()).spawn(work)?;
         Ok(Some(Self { config: config.clone(), queue, thread: Some(thread) }))
     }
 
-    /// Returns the selector of the episodes to film in an evaluation of `weights`.
+    /// Returns the selector of the episodes to record in an evaluation of `weights`.
     pub(crate) fn selector(&self, weights: &Arc<Weights>, acting: &[ActionMode]) -> Option<EpisodeSelector> {
         EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone())
     }
 
-    /// Returns the film counts so far.
-    pub(crate) fn counts(&self) -> FilmCounts {
+    /// Returns the video counts so far.
+    pub(crate) fn counts(&self) -> VideoCounts {
         self.queue.counts()
     }
 
     /// Waits for counts that a test expects.
     #[cfg(test)]
-    pub(super) fn wait_until(&self, is_reached: impl Fn(FilmCounts) -> bool) -> FilmCounts {
+    pub(super) fn wait_until(&self, is_reached: impl Fn(VideoCounts) -> bool) -> VideoCounts {
         self.queue.wait_until(is_reached)
     }
 
-    /// Ends the thread after the current film. Of the waiting clips, only the recordings are kept.
+    /// Ends the thread after the current video. Of the waiting requests, only the recordings are kept.
     pub(crate) fn close(mut self) {
         self.queue.close();
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
-            tracing::error!("the thread of films panicked");
+            tracing::error!("the thread of videos panicked");
         }
-        let FilmCounts { written_total, dropped_total, failed_total, .. } = self.queue.counts();
-        tracing::info!(written_total, dropped_total, failed_total, "films of evaluations");
+        let VideoCounts { written_total, dropped_total, failed_total, .. } = self.queue.counts();
+        tracing::info!(written_total, dropped_total, failed_total, "videos of evaluations");
     }
 }
 
@@ -131,24 +127,24 @@ impl Drop for VideoRecorder {
 }
 
 impl Files {
-    /// Keeps the recording of a clip, and its film unless it `is_late`.
-    fn keep(&mut self, clip: &Clip, is_late: bool) -> anyhow::Result<Made> {
-        let (segment, id) = (&clip.trajectory, &clip.trajectory.task.blueprint);
-        let label = ClipName { version: segment.weights_version, ending: clip.ending, number: clip.number };
+    /// Keeps the recording of a request, and its video unless it `is_late`.
+    fn keep(&mut self, request: &VideoRequest, is_late: bool) -> anyhow::Result<Made> {
+        let (segment, id) = (&request.trajectory, &request.trajectory.task.blueprint);
+        let label = VideoName { version: segment.weights_version, ending: request.ending, number: request.number };
         self.replays.put(id, label, &encode_recording(segment)).context("keeping the recording")?;
         if is_late {
             return Ok(Made::RecordingOnly);
         }
         let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
         let episode = Episode::new(std::slice::from_ref(segment), goal)?;
-        let film = mp4(Film::new(&episode, WIDTH_PX).frames(FPS), FPS)?;
-        let path = self.videos.put(id, label, &film).context("keeping the film")?;
-        tracing::debug!(path = %path.display(), "a film of an evaluation");
+        let video = mp4(Video::new(&episode, WIDTH_PX).frames(FPS), FPS)?;
+        let path = self.videos.put(id, label, &video).context("keeping the video")?;
+        tracing::debug!(path = %path.display(), "a video of an evaluation");
         let small = miniature(&episode)?;
         if let Some(small) = &small {
-            self.reel.add(clip, small).context("writing for TensorBoard")?;
+            self.reel.add(request, small).context("writing for TensorBoard")?;
         }
-        Ok(Made::Film { is_oversized: small.is_none() })
+        Ok(Made::Video { is_oversized: small.is_none() })
     }
 }
 
@@ -160,7 +156,7 @@ impl Reel {
     /// # Errors
     /// If the folder cannot be read, a file cannot be deleted, or the new one cannot be created.
     pub(super) fn create(tensorboard: &Path, room_mb: u64) -> io::Result<Self> {
-        let folder = tensorboard.join("films");
+        let folder = tensorboard.join("videos");
         std::fs::create_dir_all(&folder)?;
         let mut left = event_files(&folder)?;
         let older = left.pop();
@@ -170,9 +166,9 @@ impl Reel {
         Ok(Self { folder, writer, older, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2, goes_on })
     }
 
-    pub(super) fn add(&mut self, clip: &Clip, small: &Miniature) -> io::Result<()> {
+    pub(super) fn add(&mut self, request: &VideoRequest, small: &Miniature) -> io::Result<()> {
         let [width, height] = small.size_px.map(|side| i32::try_from(side).unwrap_or(i32::MAX));
-        let n_bytes = (small.gif.len() * clip.tags.len()) as u64;
+        let n_bytes = (small.gif.len() * request.tags.len()) as u64;
         if self.n_bytes > 0 && self.n_bytes + n_bytes > self.max_bytes {
             let newer = EventWriter::create(&self.folder)?;
             let full = std::mem::replace(&mut self.writer, newer);
@@ -182,9 +178,9 @@ impl Reel {
         }
         self.n_bytes += n_bytes;
         if std::mem::take(&mut self.goes_on) {
-            self.writer.restart(clip.n_env_steps)?;
+            self.writer.restart(request.n_env_steps)?;
         }
         let picture = Picture { height, width, colorspace: 3, encoded: small.gif.clone() };
-        self.writer.picture(clip.n_env_steps, &clip.tags, &picture)
+        self.writer.picture(request.n_env_steps, &request.tags, &picture)
     }
 }

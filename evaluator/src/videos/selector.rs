@@ -1,4 +1,4 @@
-//! Selects the episodes of an evaluation to record: those that could become a requested success or failure film.
+//! Selects the episodes of an evaluation to record: those that could become a requested success or failure video.
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,17 +8,17 @@ use blueprints::{BlueprintId, Group};
 use environment::Step;
 use proto::{ActionMode, ActorId, BehaviorPolicy, Observation, Scene, Weights};
 
-use super::queue::{Clip, ClipQueue};
-use crate::config::FilmsConfig;
+use super::queue::{ClipQueue, VideoRequest};
+use crate::config::VideosConfig;
 use crate::recording::Recording;
 use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
-use runlog::clips::Ending;
+use runlog::videos::Ending;
 
 /// Maximum number of episodes recorded at a time. At a kilobyte per step, this takes some tens of megabytes.
 const MAX_RECORDING: usize = 256;
 
-/// Selects the episodes to film in one evaluation.
+/// Selects the episodes to record in one evaluation.
 ///
 /// It is not known in advance which episodes will succeed, so all episodes that may be needed are recorded, and most
 /// recordings are discarded.
@@ -31,7 +31,7 @@ pub struct EpisodeSelector {
     queue: Arc<ClipQueue>,
 }
 
-/// A group or blueprint to film.
+/// A group or blueprint to record.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Subject {
     Group(Group),
@@ -46,9 +46,9 @@ struct Open {
 }
 
 impl EpisodeSelector {
-    /// Creates the selector for an evaluation of `weights`. Only episodes with the action mode `acting` are filmed.
+    /// Creates the selector for an evaluation of `weights`. Only episodes with the action mode `acting` are recorded.
     pub(super) fn new(
-        config: &FilmsConfig,
+        config: &VideosConfig,
         weights: Arc<Weights>,
         acting: ActionMode,
         queue: Arc<ClipQueue>,
@@ -115,7 +115,13 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
         }
         let number = open.n_taken.entry((task.blueprint.clone(), ending)).or_insert(0);
         *number += 1;
-        self.queue.offer(Clip { trajectory, n_env_steps: self.weights.n_env_steps, ending, number: *number, tags });
+        self.queue.offer(VideoRequest {
+            trajectory,
+            n_env_steps: self.weights.n_env_steps,
+            ending,
+            number: *number,
+            tags,
+        });
     }
 }
 
@@ -126,7 +132,7 @@ impl Open {
 }
 
 impl Subject {
-    /// Returns the name under which films of different evaluations are shown together.
+    /// Returns the name under which videos of different evaluations are shown together.
     fn tag(&self) -> String {
         match self {
             Self::Group(group) => group.name().replace(' ', "-"),

@@ -4,25 +4,25 @@ use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
 
 use proto::Trajectory;
-use proto::metrics::FilmCounts;
-use runlog::clips::Ending;
+use proto::metrics::VideoCounts;
+use runlog::videos::Ending;
 
-/// Queue capacity: three evaluations of the default films, each up to about a megabyte.
+/// Queue capacity: three evaluations of the default videos, each up to about a megabyte.
 pub(super) const ROOM: usize = 32;
 
 /// A recorded episode to be rendered.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Clip {
+pub(super) struct VideoRequest {
     pub(super) trajectory: Trajectory,
     pub(super) n_env_steps: u64,
     pub(super) ending: Ending,
-    /// Number among the evaluation's clips of the same blueprint and ending, from 1.
+    /// Number among the evaluation's requests of the same blueprint and ending, from 1.
     pub(super) number: u32,
     /// TensorBoard tags.
     pub(super) tags: Vec<String>,
 }
 
-/// A bounded queue of clips to be rendered.
+/// A bounded queue of requests to be rendered.
 #[derive(Debug, Default)]
 pub(super) struct ClipQueue {
     state: Mutex<State>,
@@ -31,28 +31,28 @@ pub(super) struct ClipQueue {
 
 #[derive(Debug, Default)]
 struct State {
-    clips: VecDeque<Clip>,
+    requests: VecDeque<VideoRequest>,
     is_closed: bool,
     /// All counts except `n_waiting`.
-    counts: FilmCounts,
+    counts: VideoCounts,
 }
 
-/// Result of processing a clip.
+/// Result of processing a request.
 pub(super) enum Made {
-    Film { is_oversized: bool },
+    Video { is_oversized: bool },
     RecordingOnly,
 }
 
 impl ClipQueue {
-    /// Adds a clip to the queue. If the queue is full or closed, drops and counts it instead.
-    pub(super) fn offer(&self, clip: Clip) {
+    /// Adds a request to the queue. If the queue is full or closed, drops and counts it instead.
+    pub(super) fn offer(&self, request: VideoRequest) {
         let mut state = self.state();
-        if state.is_closed || state.clips.len() >= ROOM {
+        if state.is_closed || state.requests.len() >= ROOM {
             state.counts.dropped_total += 1;
-            tracing::debug!(blueprint = %clip.trajectory.task.blueprint, "no room for a film");
+            tracing::debug!(blueprint = %request.trajectory.task.blueprint, "no room for a video");
             return;
         }
-        state.clips.push_back(clip);
+        state.requests.push_back(request);
         self.changed.notify_all();
     }
 
@@ -60,34 +60,34 @@ impl ClipQueue {
         self.state().counts.unrecorded_total += 1;
     }
 
-    pub(super) fn counts(&self) -> FilmCounts {
+    pub(super) fn counts(&self) -> VideoCounts {
         self.state().all_counts()
     }
 
-    /// Waits for the next clip and returns it; `None` once the queue is closed and empty.
-    pub(super) fn next(&self) -> Option<Clip> {
-        let is_idle = |state: &mut State| state.clips.is_empty() && !state.is_closed;
+    /// Waits for the next request and returns it; `None` once the queue is closed and empty.
+    pub(super) fn next(&self) -> Option<VideoRequest> {
+        let is_idle = |state: &mut State| state.requests.is_empty() && !state.is_closed;
         let mut state = self.state();
         self.changed.wait_while(&mut state, is_idle);
-        state.clips.pop_front()
+        state.requests.pop_front()
     }
 
     pub(super) fn is_closed(&self) -> bool {
         self.state().is_closed
     }
 
-    pub(super) fn note(&self, made: anyhow::Result<Made>, clip: &Clip) {
+    pub(super) fn note(&self, made: anyhow::Result<Made>, request: &VideoRequest) {
         let mut state = self.state();
         let counts = &mut state.counts;
         match made {
-            Ok(Made::Film { is_oversized }) => {
+            Ok(Made::Video { is_oversized }) => {
                 counts.written_total += 1;
                 counts.oversized_total += u64::from(is_oversized);
             }
             Ok(Made::RecordingOnly) => counts.dropped_total += 1,
             Err(error) => {
                 counts.failed_total += 1;
-                tracing::warn!(blueprint = %clip.trajectory.task.blueprint, "a film failed: {error:#}");
+                tracing::warn!(blueprint = %request.trajectory.task.blueprint, "a video failed: {error:#}");
             }
         }
         self.changed.notify_all();
@@ -103,7 +103,7 @@ impl ClipQueue {
     }
 
     #[cfg(test)]
-    pub(super) fn wait_until(&self, is_reached: impl Fn(FilmCounts) -> bool) -> FilmCounts {
+    pub(super) fn wait_until(&self, is_reached: impl Fn(VideoCounts) -> bool) -> VideoCounts {
         let waits = |state: &mut State| !is_reached(state.all_counts());
         let mut state = self.state();
         self.changed.wait_while(&mut state, waits);
@@ -112,7 +112,7 @@ impl ClipQueue {
 }
 
 impl State {
-    fn all_counts(&self) -> FilmCounts {
-        FilmCounts { n_waiting: self.clips.len() as u64, ..self.counts }
+    fn all_counts(&self) -> VideoCounts {
+        VideoCounts { n_waiting: self.requests.len() as u64, ..self.counts }
     }
 }

@@ -1,4 +1,4 @@
-//! Films of small evaluations in real worlds.
+//! Videos of small evaluations in real worlds.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use blueprints::{Blueprint, Catalog, Split};
 use environment::{Step, StepResult};
 use proto::codec::decode_recording;
-use proto::metrics::FilmCounts;
+use proto::metrics::VideoCounts;
 use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
 use render::video::Miniature;
 use runlog::RunPaths;
@@ -16,7 +16,7 @@ use super::VideoRecorder;
 use super::queue::{ClipQueue, ROOM};
 use super::recorder::Reel;
 use super::selector::EpisodeSelector;
-use crate::config::{EpisodeConfig, FilmsConfig};
+use crate::config::{EpisodeConfig, VideosConfig};
 use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{agent, small_setup, weights};
 use crate::pool::EvaluationPool;
@@ -36,12 +36,12 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
+fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let dir = tempfile::tempdir().unwrap();
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
     let weights = Arc::new(weights());
-    let config = FilmsConfig::default();
-    let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin()).unwrap().unwrap();
+    let config = VideosConfig::default();
+    let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin().clone()).unwrap().unwrap();
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
     let evaluate = |observer: Option<&EpisodeSelector>| {
@@ -50,10 +50,10 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));
     let written = recorder.wait_until(|counts| counts.written_total + counts.failed_total > 0);
-    assert_eq!(written, FilmCounts { written_total: 1, ..FilmCounts::default() });
+    assert_eq!(written, VideoCounts { written_total: 1, ..VideoCounts::default() });
     recorder.close();
 
-    // Untrained weights with eight steps build nothing, so the film shows the first episode that ends.
+    // Untrained weights with eight steps build nothing, so the video shows the first episode that ends.
     let [folder] = names(&dir.path().join("videos")).try_into().unwrap();
     let goal = goals.iter().find(|goal| goal.id().as_str() == folder).unwrap();
     assert_eq!(names(&dir.path().join("videos").join(&folder)), ["00000002-failure.mp4"]);
@@ -61,7 +61,7 @@ fn the_first_failure_of_a_group_becomes_a_film_and_the_report_is_as_without() {
     let segment = decode_recording(&fs::read(replay).unwrap()).unwrap();
     assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights.version));
     render::video::Episode::new(&[segment], goal).unwrap();
-    assert_eq!(names(&dir.path().join("tb/evaluator/films")).len(), 1);
+    assert_eq!(names(&dir.path().join("tb/evaluator/videos")).len(), 1);
 }
 
 /// Plays an episode of one step with this end; returns whether it was recorded.
@@ -89,17 +89,17 @@ fn scene() -> Scene {
     }
 }
 
-fn selector(config: &FilmsConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
+fn selector(config: &VideosConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
     EpisodeSelector::new(config, Arc::new(weights()), ActionMode::Greedy, queue.clone()).unwrap()
 }
 
 #[test]
-fn nothing_is_recorded_once_every_wanted_film_is_taken() {
+fn nothing_is_recorded_once_every_wanted_video_is_taken() {
     let queue = Arc::new(ClipQueue::default());
-    let config = FilmsConfig { blueprints: vec![blueprint().id().clone()], ..Default::default() };
+    let config = VideosConfig { blueprints: vec![blueprint().id().clone()], ..Default::default() };
     let selector = selector(&config, &queue);
     let success = End::Success { stable: true };
-    assert!(!play(&selector, &scene(), ActionMode::Sampled, success), "only one way of acting is filmed");
+    assert!(!play(&selector, &scene(), ActionMode::Sampled, success), "only one way of acting is recorded");
     for _ in 0..2 {
         assert!(play(&selector, &scene(), ActionMode::Greedy, success));
     }
@@ -115,17 +115,17 @@ fn a_full_queue_drops_and_counts_and_nobody_waits() {
     let queue = Arc::new(ClipQueue::default());
     // Nothing consumes this queue.
     for _ in 0..ROOM + 3 {
-        let selector = selector(&FilmsConfig::default(), &queue);
+        let selector = selector(&VideosConfig::default(), &queue);
         assert!(play(&selector, &scene(), ActionMode::Greedy, End::TimeLimit));
     }
-    let expected = FilmCounts { n_waiting: ROOM as u64, dropped_total: 3, ..FilmCounts::default() };
+    let expected = VideoCounts { n_waiting: ROOM as u64, dropped_total: 3, ..VideoCounts::default() };
     assert_eq!(queue.counts(), expected);
 }
 
 #[test]
 fn restarts_leave_no_more_than_two_files_for_tensorboard() {
     let dir = tempfile::tempdir().unwrap();
-    let folder = dir.path().join("films");
+    let folder = dir.path().join("videos");
     let [oldest, older, newest] = [
         "events.out.tfevents.1000000000.900000.12",
         "events.out.tfevents.1000000001.000000.9",
@@ -143,21 +143,21 @@ fn restarts_leave_no_more_than_two_files_for_tensorboard() {
     assert_eq!(names(&folder).len(), 2 + 3);
 
     let queue = Arc::new(ClipQueue::default());
-    assert!(play(&selector(&FilmsConfig::default(), &queue), &scene(), ActionMode::Greedy, End::TimeLimit));
-    let clip = queue.next().unwrap();
-    // Half of the megabyte holds one of these films, so the second goes to another file.
-    let film = Miniature { gif: vec![0; 300_000], size_px: [1, 1] };
-    reel.add(&clip, &film).unwrap();
+    assert!(play(&selector(&VideosConfig::default(), &queue), &scene(), ActionMode::Greedy, End::TimeLimit));
+    let request = queue.next().unwrap();
+    // Half of the megabyte holds one of these videos, so the second goes to another file.
+    let video = Miniature { gif: vec![0; 300_000], size_px: [1, 1] };
+    reel.add(&request, &video).unwrap();
     assert!(is_there(&newest));
-    reel.add(&clip, &film).unwrap();
+    reel.add(&request, &video).unwrap();
     assert!(!is_there(&newest) && others.iter().all(is_there));
     assert_eq!(names(&folder).len(), 2 + 3);
 }
 
 #[test]
-fn an_empty_list_makes_no_films() {
+fn an_empty_list_makes_no_videos() {
     let dir = tempfile::tempdir().unwrap();
-    let config = FilmsConfig { groups: Vec::new(), ..Default::default() };
-    assert!(VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin()).unwrap().is_none());
+    let config = VideosConfig { groups: Vec::new(), ..Default::default() };
+    assert!(VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin().clone()).unwrap().is_none());
     assert!(names(dir.path()).is_empty());
 }

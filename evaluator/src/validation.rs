@@ -14,13 +14,13 @@ type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 /// Forwards the newest weights with which a policy can act to `usable` while the returned handle lives. Others are
 /// dropped and counted by the bus. Weights of another network pass, because waiting does not help: the evaluation then
 /// reports the error.
-pub(crate) fn vetted(
+pub(crate) fn validated(
     mut arrivals: Arrivals,
     usable: watch::Sender<Option<Arc<Weights>>>,
     config: PolicyConfig,
     bus: Bus,
 ) -> (Arrivals, AbortOnDropHandle<()>) {
-    let vetted = usable.subscribe();
+    let validated = usable.subscribe();
     let task = tokio::spawn(async move {
         loop {
             let newest = arrivals.borrow_and_update().clone();
@@ -34,7 +34,7 @@ pub(crate) fn vetted(
             }
         }
     });
-    (vetted, AbortOnDropHandle::new(task))
+    (validated, AbortOnDropHandle::new(task))
 }
 
 async fn passes(config: &PolicyConfig, weights: &Arc<Weights>, bus: &Bus) -> bool {
