@@ -31,10 +31,10 @@ GOALS = {
 }
 # What is there today, for the goals that are not reached yet. Lower these when a count falls; never raise one.
 CEILINGS = {
-    "lines of Rust outside lab/": 76_800,
-    "of it without tests and comments": 39_800,
+    "lines of Rust outside lab/": 75_700,
+    "of it without tests and comments": 39_100,
     "settings": 115,
-    "commands": 19,
+    "commands": 18,
     "direct dependencies": 54,
     "passages of 12 equal lines": 1,
 }
