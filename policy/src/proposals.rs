@@ -31,6 +31,9 @@
 //! **Turning.** A block that touches another and has to turn first backs off as far as it needs for that. Otherwise, it
 //! would press against both walls of a corner forever.
 //!
+//! **Going back.** A block that hardly moved in the last step, though its gripper pushed it, is caught: it goes back by 30
+//! cm and a little up. The next step comes from another place. Without that, greedy actions would push forever.
+//!
 //! **The detour.** If blocks of other pieces are between i and that point, i goes around them (`detour.rs`): straight
 //! ways through a structure were what broke most of its connections.
 //!

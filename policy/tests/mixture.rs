@@ -288,6 +288,31 @@ fn hold_rises_to_half_a_meter_and_no_higher() {
     assert!((rises(&scene) - 0.8).abs() < 1e-5);
 }
 
+#[test]
+fn a_block_that_was_pushed_in_vain_goes_back() {
+    let (goal, mut scene) = (goal("2_000"), scattered());
+    let link = goal.links()[0];
+    let joined = |scene: &Scene| {
+        let join = proposals(scene, &goal).get(link.a, Slot::paired(Kind::Join, link.b)).unwrap();
+        let own = &scene.blocks[link.a.get()];
+        let (from, to) = (own.position, moved(own, &join.movement).position);
+        [0, 1, 2].map(|axis| to[axis] - from[axis])
+    };
+    let free = joined(&scene);
+    scene.grippers[0] = Some(Gripper { held: Some(link.a), linear_velocity: [0.0, -2.0, 0.0], ..Gripper::IDLE });
+    scene.speeds_mps[link.a.get()] = 1.9;
+    assert_eq!(joined(&scene), free);
+    // 0.3 m along (0, 1, ½), whose length is √1.25.
+    scene.speeds_mps[link.a.get()] = 0.5;
+    let back = joined(&scene);
+    let expected = [0.0, 0.3 / 1.25_f32.sqrt(), 0.15 / 1.25_f32.sqrt()];
+    assert!(back.iter().zip(expected).all(|(x, y)| (x - y).abs() < 1e-5), "{back:?}");
+    // Slow pushes say nothing.
+    scene.grippers[0] = Some(Gripper { held: Some(link.a), linear_velocity: [0.0, -0.2, 0.0], ..Gripper::IDLE });
+    scene.speeds_mps[link.a.get()] = 0.0;
+    assert_eq!(joined(&scene), free);
+}
+
 /// Three blocks near each other, one of the connections made, and one wrong.
 fn busy() -> (Blueprint, Scene) {
     let goal = goal("4_000");

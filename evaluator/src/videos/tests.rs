@@ -41,7 +41,8 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
     let weights = Arc::new(weights());
     let config = VideosConfig::default();
-    let recorder = VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin().clone()).unwrap().unwrap();
+    let recorder =
+        VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin().clone()).unwrap().unwrap();
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
     let evaluate = |observer: Option<&EpisodeSelector>| {

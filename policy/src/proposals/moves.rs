@@ -33,6 +33,15 @@ const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
 /// Overlap at which a turning block still has room, m.
 const SLACK_M: f32 = 0.003;
 
+/// Commanded speed from which a block can be blocked, m/s, with this radius for its turn, m.
+const PUSH_MPS: f32 = 0.3;
+const PUSH_RADIUS_M: f32 = 0.05;
+/// Part of the commanded speed below which a block is blocked.
+const BLOCKED: f32 = 0.3;
+/// How far a blocked block goes back, m, and by how much of that it rises.
+const RETREAT_M: f32 = 0.3;
+const RETREAT_UP: f32 = 0.5;
+
 /// Height to which a held block, or the place of a block that is to come to it, rises, m: room for other blocks below.
 const HOLD_M: f32 = 0.5;
 /// Pull and lift of a detachment, as fractions of the speed limit.
@@ -49,6 +58,8 @@ pub(super) struct Layout {
     sizes: [u8; N],
     /// Largest distance from a block's center to the center of another of its piece, m.
     radii: [f32; N],
+    /// Where blocks go back to that a gripper pushed in vain: vectors in the world, m.
+    retreats: [Option<Vector3<f32>>; N],
     /// Whether two blocks can move at once.
     has_two_grippers: bool,
 }
@@ -84,7 +95,8 @@ impl Layout {
         let mut sizes = [0; N];
         pieces.iter().for_each(|&piece| sizes[piece] += 1);
         let has_two_grippers = scene.grippers.iter().all(Option::is_some);
-        Self { frames, pieces, sizes, radii: std::array::from_fn(radius), has_two_grippers }
+        let (radii, retreats) = (std::array::from_fn(radius), retreats(scene));
+        Self { frames, pieces, sizes, radii, retreats, has_two_grippers }
     }
 
     /// Returns i's part in joining j.
@@ -95,10 +107,14 @@ impl Layout {
         if self.has_two_grippers && own > other && !both_come {
             return self.wait(i, &place_m);
         }
+        let is_apart = self.pieces[i.get()] != self.pieces[j.get()];
+        if let Some(retreat) = self.retreats[i.get()].filter(|_| is_apart && own <= other) {
+            return Way { shift: self.frames[i.get()].localize(&retreat), turn: Vector3::zeros() }.to_move();
+        }
         let around = self.surroundings(i);
         let off = self.stand_off([i, j], &around, &way, &normal);
         way.shift += normal * off;
-        if self.pieces[i.get()] != self.pieces[j.get()] {
+        if is_apart {
             // From where it is aligned, the pieces part freely.
             if off >= 0.0 {
                 way.shift = self.detour(i, &around, &way, &normal);
@@ -218,4 +234,19 @@ impl Layout {
         let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
         own.localize(&(stop - own.position))
     }
+}
+
+/// Returns where blocks go back to that moved much more slowly in the last step than their grippers wanted.
+fn retreats(scene: &Scene) -> [Option<Vector3<f32>>; N] {
+    let mut retreats = [None; N];
+    for gripper in scene.grippers.iter().flatten() {
+        let Some(block) = gripper.held else { continue };
+        let [push, turn] = [gripper.linear_velocity, gripper.angular_velocity].map(Vector3::from);
+        let wanted_mps = push.norm() + PUSH_RADIUS_M * turn.norm();
+        if wanted_mps > PUSH_MPS && scene.speeds_mps[block.get()] < BLOCKED * wanted_mps {
+            let back = push.try_normalize(1e-3).map_or_else(Vector3::zeros, |push| -push);
+            retreats[block.get()] = (back + Vector3::z() * RETREAT_UP).try_normalize(1e-3).map(|way| way * RETREAT_M);
+        }
+    }
+    retreats
 }
