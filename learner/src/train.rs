@@ -6,9 +6,9 @@
 //!     └─────────────── the newest weights ───────────────┘
 //! ```
 //!
-//! [`Source`] finds trajectories, [`Batch`] turns them into inputs of the network, `ppo` takes gradient
-//! steps on the [`loss`](crate::loss) with advantages by [`gae`](crate::gae), and [`Output`] hands the weights to the bus
-//! and to the run folder.
+//! [`Source`] finds trajectories, [`Batch`] turns them into inputs of the network, `ppo` takes gradient steps on the
+//! [`loss`](crate::loss) with advantages by [`gae`](crate::gae), and `Output` hands the weights to the bus and to the run
+//! folder.
 
 mod output;
 mod saving;
