@@ -36,7 +36,6 @@ CEILINGS = {
     "settings": 115,
     "commands": 18,
     "direct dependencies": 54,
-    "passages of 12 equal lines": 1,
 }
 N_EQUAL = 12
 
