@@ -7,15 +7,12 @@ from pathlib import Path
 from ..ring import records
 from ..ring.checks import eventually, require
 from ..ring.processes import settings
-from .members import Member
+from .members import SMALL_UPDATES, Member
 
 STEPS = 8192
 
 SETTINGS: dict[str, object] = {
-    "learner.batch_size": 256,
-    "learner.minibatch_size": 128,
-    "learner.mailbox.capacity_steps": 256,
-    "learner.checkpoints.every_updates": 2,
+    **SMALL_UPDATES,
     "actor.n_worlds": 4,
     "actor.segment_len": 16,
     "evaluator.every.versions": 1_000_000,

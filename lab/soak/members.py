@@ -12,6 +12,14 @@ from .relay import Relay
 # Longer than any role needs to drain and save, even on a busy machine.
 GRACE_S = 60.0
 
+# Small updates and a checkpoint after every second one, so that kills hit many of them.
+SMALL_UPDATES: dict[str, object] = {
+    "learner.batch_size": 256,
+    "learner.minibatch_size": 128,
+    "learner.mailbox.capacity_steps": 256,
+    "learner.checkpoints.every_updates": 2,
+}
+
 
 class Member:
     """One member of the ring and its successive processes, each with its own log."""

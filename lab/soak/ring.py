@@ -8,7 +8,7 @@ from ..ring import records
 from ..ring.bus import listens
 from ..ring.checks import eventually
 from ..ring.processes import ENDLESS, Word, free_port, settings
-from .members import Member, supervise
+from .members import SMALL_UPDATES, Member, supervise
 from .memory import Memory
 from .relay import Relay
 from .reports import ActorLife, Reports
@@ -23,12 +23,8 @@ BACKLOG = 16
 N_OUTSTANDING = 2
 INGEST_QUEUE = 256
 
-# Small updates and a checkpoint after every second one, so that kills hit many of them.
 SETTINGS: dict[str, object] = {
-    "learner.batch_size": 256,
-    "learner.minibatch_size": 128,
-    "learner.mailbox.capacity_steps": 256,
-    "learner.checkpoints.every_updates": 2,
+    **SMALL_UPDATES,
     "learner.checkpoints.keep": 5,
     "actor.n_worlds": N_WORLDS,
     "actor.segment_len": SEGMENT_LEN,

@@ -71,7 +71,7 @@ impl Trainer {
         let Self { learner, source, output } = self;
         let mut n_refused = 0;
         source.restart();
-        output.publish_first(learner);
+        output.publish_first();
         while let Some(n_steps) = output.next_steps(learner) {
             let trajectories = source.next(&learner.mailbox(), output.newest(), n_steps)?;
             output.start_update();

@@ -117,8 +117,7 @@ impl Output {
     }
 
     /// Publishes the weights that the run begins with.
-    pub(super) fn publish_first(&mut self, learner: &Learner) {
-        self.newest = Arc::new(learner.weights());
+    pub(super) fn publish_first(&self) {
         self.send(None);
     }
 
