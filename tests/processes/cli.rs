@@ -228,7 +228,7 @@ fn shells_know_the_commands() {
 fn an_interrupted_evaluation_says_what_it_has_found() {
     let folder = tempfile::tempdir().unwrap();
     let mut command = crate::support::program::lodestone(folder.path());
-    command.args(["eval", "--expert", "--blueprint", "2_000", "--episodes", "10000", "--json"]);
+    command.args(["eval", "--expert", "--blueprint", "16_000", "--episodes", "10000", "--json"]);
     let mut evaluation = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(evaluation.stderr.take().unwrap()).lines().map(Result::unwrap);
     // Wait until some episodes have ended.

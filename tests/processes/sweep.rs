@@ -56,18 +56,23 @@ fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
     killed.0.kill().unwrap();
     killed.0.wait().unwrap();
 
+    // On a busy machine the interruption can come one run late.
     let (mut interrupted, lines) = until("[2/4] ", "[3/4] learner.gamma=0.9, seed 2");
     interrupt(&interrupted);
     let rest: Vec<String> = lines.collect();
     assert!(interrupted.0.wait().unwrap().success());
-    assert!(rest.iter().any(|line| line.contains("[3/4]") && line.contains("interrupted")), "{rest:?}");
-    assert!(rest.iter().any(|line| line.starts_with("2 runs are not finished; go on with")), "{rest:?}");
+    let is_interrupted = |k: &str| rest.iter().any(|line| line.starts_with(k) && line.contains("interrupted"));
+    let k = ["[3/4]", "[4/4]"].iter().position(|k| is_interrupted(k)).unwrap_or_else(|| panic!("{rest:?}"));
+    let left = &["[3/4]", "[4/4]"][k..];
+    let note = format!("{} runs are not finished; go on with", left.len());
+    assert!(rest.iter().any(|line| line.starts_with(&note)), "{rest:?}");
 
     let finished = sweep(folder.path(), &args).output().unwrap();
     let printed = String::from_utf8(finished.stdout).unwrap();
     assert!(finished.status.success(), "{}", String::from_utf8_lossy(&finished.stderr));
-    let trained: Vec<&str> = printed.lines().filter(|line| line.contains(": training in")).collect();
-    assert!(trained.len() == 2 && trained[0].starts_with("[3/4]") && trained[1].starts_with("[4/4]"), "{printed}");
+    let trained: Vec<&str> =
+        printed.lines().filter(|line| line.contains(": training in")).map(|line| &line[..5]).collect();
+    assert_eq!(trained, left, "{printed}");
     for gamma in ["0.9", "0.95"] {
         let row = format!("| learner.gamma={gamma} | train 2-6 (2) | greedy | 2 | ");
         assert!(table(&printed).contains(&row), "{printed}");
