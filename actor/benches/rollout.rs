@@ -16,7 +16,9 @@ use policy::cpu::Outputs;
 use policy::distribution::ActionDistribution;
 use policy::{DeviceKind, Engine, FeatureBatch, Policy, PolicyConfig};
 use proto::codec::encode_trajectory;
-use proto::{ActionMode, ActorId, Agent, Normalization, Observation, Scene, Task, Trajectory, Weights, WeightsVersion};
+use proto::{
+    ActionMode, ActorId, Agent, Normalization, Observation, Scene, Task, Trajectory, Valid, Weights, WeightsVersion,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -26,7 +28,7 @@ const WARM_UP: usize = 50;
 const N_STEPS: usize = 100;
 
 fn main() {
-    let (policy, environment) = (PolicyConfig::default(), EnvironmentConfig::default());
+    let (policy, environment) = (Valid::default(), Valid::default());
     let weights = untrained(&policy);
     let mut rollout = rollout(&policy, &environment, &weights);
     (0..WARM_UP).for_each(|_| drop(rollout.step().unwrap()));
@@ -94,7 +96,7 @@ fn main() {
     }
 }
 
-fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Weights) -> Rollout<World> {
+fn rollout(policy: &Valid<PolicyConfig>, environment: &Valid<EnvironmentConfig>, weights: &Weights) -> Rollout<World> {
     let setup = RolloutSetup {
         catalog: Catalog::builtin().clone(),
         policy: policy.clone(),
@@ -105,7 +107,7 @@ fn rollout(policy: &PolicyConfig, environment: &EnvironmentConfig, weights: &Wei
         identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0 },
         seed: 0,
     };
-    let worlds = (0..N_WORLDS).map(|_| World::new(environment).unwrap()).collect();
+    let worlds = (0..N_WORLDS).map(|_| World::new(environment)).collect();
     Rollout::new(setup, worlds, weights).unwrap()
 }
 

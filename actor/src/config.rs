@@ -51,11 +51,13 @@ pub enum FullBacklog {
 
 #[cfg(test)]
 mod tests {
+    use proto::Valid;
+
     use super::*;
 
     #[test]
     fn the_defaults_are_valid() {
-        assert_eq!(ActorConfig::default().validate(), Ok(()));
+        assert_eq!(Valid::new(ActorConfig::default()).err(), None);
     }
 
     #[test]
@@ -67,7 +69,7 @@ mod tests {
             (ActorConfig { backlog_limit: 0, ..Default::default() }, "actor.backlog_limit = 0: expected 1..=100000"),
         ];
         for (config, message) in table {
-            assert_eq!(config.validate().unwrap_err().to_string(), message);
+            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
         }
     }
 }

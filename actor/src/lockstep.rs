@@ -1,6 +1,5 @@
 //! Rollouts that take turns with a learner, on its thread and without the bus, so that equal seeds give equal bytes.
 
-use anyhow::Context;
 use environment::World;
 use proto::{Trajectory, Weights};
 
@@ -47,9 +46,8 @@ impl Lockstep {
 }
 
 fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<World>> {
-    setup.config.validate().context("invalid actor configuration")?;
     let identity = Identity { actor: setup.id.clone(), epoch: 0 };
-    let worlds: Result<Vec<World>, _> = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();
+    let worlds = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();
     let setup = RolloutSetup { seed, ..RolloutSetup::new(setup, identity) };
-    Ok(Rollout::new(setup, worlds.context("invalid environment configuration")?, weights)?)
+    Ok(Rollout::new(setup, worlds, weights)?)
 }

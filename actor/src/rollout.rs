@@ -7,7 +7,7 @@ use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::{
-    ActionMode, BehaviorPolicy, CanonicalSettings, Status, Task, Trajectory, Transition, Weights, WeightsVersion,
+    ActionMode, BehaviorPolicy, CanonicalSettings, Status, Task, Trajectory, Transition, Valid, Weights, WeightsVersion,
 };
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -24,7 +24,7 @@ pub struct RolloutSetup {
     /// Source of goals and starts.
     pub catalog: Arc<Catalog>,
     /// The policy that acts.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// Settings of policy and worlds, which must be the learner's.
     pub settings: CanonicalSettings,
     /// Selection of goals and starts.

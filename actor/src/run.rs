@@ -63,7 +63,7 @@ pub struct Summary {
 /// previous ones stay in use. The metrics that go to the bus go to `told` too.
 ///
 /// # Errors
-/// If a configuration is invalid, the session fails at the start, the weights are of a run with other settings or for
+/// If the session fails at the start, the weights are of a run with other settings or for
 /// another network, no task can be started, or another live actor has the same name and keeps it.
 pub async fn run(
     setup: ActorSetup,
@@ -72,7 +72,6 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> anyhow::Result<Summary> {
     let ActorSetup { config, id, .. } = &setup;
-    config.validate().context("invalid actor configuration")?;
     let _alive = tokio::select! {
         () = shutdown.cancelled() => return Ok(Summary::default()),
         alive = bus.declare_alive_alone(Role::Actor, id.as_str(), NAME_PATIENCE) => alive?,

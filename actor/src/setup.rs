@@ -5,7 +5,7 @@ use std::sync::Arc;
 use blueprints::Catalog;
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
-use proto::{ActorId, CanonicalSettings};
+use proto::{ActorId, CanonicalSettings, Valid};
 
 use crate::config::ActorConfig;
 
@@ -13,11 +13,11 @@ use crate::config::ActorConfig;
 #[derive(Clone, Debug)]
 pub struct ActorSetup {
     /// Tasks, worlds, segments, and how they are sent.
-    pub config: ActorConfig,
+    pub config: Valid<ActorConfig>,
     /// The policy that acts; it must match the learner's.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// The worlds.
-    pub environment: EnvironmentConfig,
+    pub environment: Valid<EnvironmentConfig>,
     /// Name among the live actors, which its segments carry.
     pub id: ActorId,
     /// Seed of the run.

@@ -5,7 +5,7 @@ use environment::{Env, ResetError, StepResult};
 use policy::{EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig};
 use proto::{
     Action, ActorId, BehaviorPolicy, Gripper, Normalization, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
-    Transition, Weights, WeightsVersion,
+    Transition, Valid, Weights, WeightsVersion,
 };
 
 use crate::segment::Identity;
@@ -105,11 +105,11 @@ pub(crate) fn identity() -> Identity {
 }
 
 /// Returns the configuration of a network small enough for tests.
-pub(crate) fn policy() -> PolicyConfig {
+pub(crate) fn policy() -> Valid<PolicyConfig> {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
     let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
-    PolicyConfig { network, ..Default::default() }
+    Valid::new(PolicyConfig { network, ..Default::default() }).expect("it is valid")
 }
 
 /// Returns untrained weights whose values are `value` on average and whose only task is `2_000`.

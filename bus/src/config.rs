@@ -8,8 +8,7 @@ use serde_json::json;
 use super::access;
 use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_encrypted, is_endpoint, is_reachable};
 use proto::codec::MAX_WEIGHTS_BYTES;
-use proto::setting::Section;
-use proto::{InvalidSetting, keys, settings};
+use proto::{InvalidSetting, Valid, keys, settings};
 
 /// Time that a connection gets to become a member of the bus, in milliseconds; a router drops and counts the others.
 pub(super) const JOIN_TIMEOUT_MS: u64 = 4_000;
@@ -20,7 +19,7 @@ const MAX_MESSAGE_BYTES: usize = MAX_WEIGHTS_BYTES + (7 << 20);
 settings! {
     /// Configuration of a process's bus session.
     #[derive(Eq)]
-    pub struct BusConfig {
+    pub struct BusConfig in "bus", check endpoints {
         /// Name of the run; runs on one router do not see each other.
         pub run: String = "default".to_owned(),
             where |c| keys::is_valid_run(&c.run) => "1 to 64 characters of a-z, 0-9 and -";
@@ -52,89 +51,49 @@ pub enum BusMode {
     Client,
 }
 
-/// An invalid bus configuration.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum BusConfigError {
-    /// A value is out of range.
-    #[error(transparent)]
-    Invalid(#[from] InvalidSetting),
-    /// A text is not an endpoint.
-    #[error(
-        "bus.{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` or `tls/HOST:PORT` with keys, \
-         or `unixsock-stream/PATH`"
-    )]
-    Endpoint {
-        /// `listen` or `connect`.
-        field: &'static str,
-        /// The given text.
-        endpoint: String,
-    },
-    /// The system would choose the port of a listener, so no other process would know where to connect.
-    #[error("bus.listen: nobody could know the port of {0}, which the system would choose; name one from 1 to 65535")]
-    NoPort(String),
-    /// Other machines could reach a listener that has no access control.
-    #[error(
-        "bus.listen: anybody who reaches {0} could replace the weights; run `lodestone keys new DIR --host NAME` once, then \
-         listen on `quic/ADDRESS:PORT` (UDP) or `tls/ADDRESS:PORT` (TCP) with `--keys DIR`, or listen on 127.0.0.1"
-    )]
-    OpenListener(String),
-    /// An endpoint is not encrypted although the process has keys.
-    #[error(
-        "bus.{field}: with keys every endpoint is `quic/ADDRESS:PORT` or `tls/ADDRESS:PORT`, and {endpoint} is not"
-    )]
-    NotEncrypted {
-        /// `listen` or `connect`.
-        field: &'static str,
-        /// The endpoint.
-        endpoint: String,
-    },
-    /// An encrypted endpoint has no keys.
-    #[error("bus.{field}: {endpoint} needs keys; name their folder with `--keys DIR`")]
-    NoKeys {
-        /// `listen` or `connect`.
-        field: &'static str,
-        /// The endpoint.
-        endpoint: String,
-    },
-}
-
 impl BusConfig {
     /// A router that only processes with access to the folder `dir` can join, through a Unix socket in it.
-    pub fn isolated_router(dir: &Path) -> Self {
-        Self { listen: vec![isolated_endpoint(dir)], ..Self::default() }
+    pub fn isolated_router(dir: &Path) -> Valid<Self> {
+        isolated(Self { listen: vec![isolated_endpoint(dir)], ..Self::default() })
     }
 
     /// A client of [`Self::isolated_router`].
-    pub fn isolated_client(dir: &Path) -> Self {
-        Self { mode: BusMode::Client, connect: vec![isolated_endpoint(dir)], ..Self::default() }
+    pub fn isolated_client(dir: &Path) -> Valid<Self> {
+        isolated(Self { mode: BusMode::Client, connect: vec![isolated_endpoint(dir)], ..Self::default() })
     }
 
-    /// Checks every setting.
-    ///
-    /// # Errors
-    /// If a setting is invalid. The error names the first one, its value, and what is expected.
-    pub fn validate(&self) -> Result<(), BusConfigError> {
-        self.validate_at("bus")?;
+    fn endpoints(&self, path: &str) -> Result<(), InvalidSetting> {
         let has_keys = self.security.keys.is_some();
+        let invalid = |rule: String| Err(InvalidSetting::new(format!("{path}.{rule}")));
         for (field, endpoints) in [("listen", &self.listen), ("connect", &self.connect)] {
             if let Some(endpoint) = endpoints.iter().find(|endpoint| !is_endpoint(endpoint)) {
-                return Err(BusConfigError::Endpoint { field, endpoint: endpoint.clone() });
+                return invalid(format!(
+                    "{field}: `{endpoint}` is no endpoint, expected `tcp/HOST:PORT`, `quic/HOST:PORT` or \
+                     `tls/HOST:PORT` with keys, or `unixsock-stream/PATH`"
+                ));
             }
         }
         if let Some(any) = self.listen.iter().find(|endpoint| has_any_port(endpoint)) {
-            return Err(BusConfigError::NoPort(any.clone()));
+            return invalid(format!(
+                "listen: nobody could know the port of {any}, which the system would choose; name one from 1 to 65535"
+            ));
         }
         if let Some(open) = self.listen.iter().find(|endpoint| !has_keys && is_reachable(endpoint)) {
-            return Err(BusConfigError::OpenListener(open.clone()));
+            return invalid(format!(
+                "listen: anybody who reaches {open} could replace the weights; run `lodestone keys new DIR --host \
+                 NAME` once, then listen on `quic/ADDRESS:PORT` (UDP) or `tls/ADDRESS:PORT` (TCP) with `--keys DIR`, \
+                 or listen on 127.0.0.1"
+            ));
         }
         for (field, endpoints) in [("listen", &self.listen), ("connect", &self.connect)] {
-            for endpoint in endpoints {
-                let endpoint = || endpoint.clone();
-                match (has_keys, is_encrypted(&endpoint())) {
-                    (true, false) => return Err(BusConfigError::NotEncrypted { field, endpoint: endpoint() }),
-                    (false, true) => return Err(BusConfigError::NoKeys { field, endpoint: endpoint() }),
-                    _ => {}
-                }
+            if let Some(odd) = endpoints.iter().find(|endpoint| has_keys != is_encrypted(endpoint)) {
+                return invalid(match has_keys {
+                    true => format!(
+                        "{field}: with keys every endpoint is `quic/ADDRESS:PORT` or `tls/ADDRESS:PORT`, and {odd} is \
+                         not"
+                    ),
+                    false => format!("{field}: {odd} needs keys; name their folder with `--keys DIR`"),
+                });
             }
         }
         Ok(())
@@ -202,6 +161,10 @@ impl BusConfig {
     }
 }
 
+fn isolated(config: BusConfig) -> Valid<BusConfig> {
+    Valid::new(config).expect("a socket in a folder is an endpoint")
+}
+
 fn isolated_endpoint(dir: &Path) -> String {
     format!("unixsock-stream/{}", dir.join("bus.sock").display())
 }
@@ -213,33 +176,33 @@ mod tests {
     #[test]
     fn default_config_is_valid_and_accepted_by_zenoh() {
         let config = BusConfig::default();
-        assert_eq!(config.validate(), Ok(()));
+        assert_eq!(Valid::new(config.clone()).err(), None);
         assert!(config.to_zenoh("lodestone/default", None, None).is_ok());
     }
 
     #[test]
     fn reachable_listener_needs_keys() {
         let router = |endpoint: &str| BusConfig { listen: vec![endpoint.to_owned()], ..BusConfig::default() };
-        let message = router("tcp/0.0.0.0:7447").validate().unwrap_err().to_string();
+        let message = Valid::new(router("tcp/0.0.0.0:7447")).unwrap_err().to_string();
         assert!(message.contains("tcp/0.0.0.0:7447") && message.contains("lodestone keys new"), "{message}");
-        assert_eq!(router("tcp/127.0.0.1:7447").validate(), Ok(()));
+        assert_eq!(Valid::new(router("tcp/127.0.0.1:7447")).err(), None);
         for wrong in ["tcp/127.0.0.1", "tcp/127.0.0.1:99999", "tcp/:7447", "tcp/127.0.0.1:port"] {
-            let message = router(wrong).validate().unwrap_err().to_string();
+            let message = Valid::new(router(wrong)).unwrap_err().to_string();
             assert!(message.starts_with(&format!("bus.listen: `{wrong}` is no endpoint")), "{message}");
         }
-        let message = router("udp/127.0.0.1:7447").validate().unwrap_err().to_string();
+        let message = Valid::new(router("udp/127.0.0.1:7447")).unwrap_err().to_string();
         assert!(message.starts_with("bus.listen: `udp/127.0.0.1:7447` is no endpoint"), "{message}");
-        let message = router("tcp/127.0.0.1:0").validate().unwrap_err().to_string();
+        let message = Valid::new(router("tcp/127.0.0.1:0")).unwrap_err().to_string();
         assert!(message.starts_with("bus.listen: nobody could know the port of tcp/127.0.0.1:0"), "{message}");
         for endpoint in ["quic/127.0.0.1:7447", "tls/127.0.0.1:7447"] {
-            let message = router(endpoint).validate().unwrap_err().to_string();
+            let message = Valid::new(router(endpoint)).unwrap_err().to_string();
             assert_eq!(message, format!("bus.listen: {endpoint} needs keys; name their folder with `--keys DIR`"));
         }
         let mut config = router("quic/0.0.0.0:7447");
         config.security.keys = Some("keys/router".into());
-        assert_eq!(config.validate(), Ok(()));
+        assert_eq!(Valid::new(config.clone()).err(), None);
         config.connect = vec!["tcp/10.0.0.1:7447".to_owned()];
-        let message = config.validate().unwrap_err().to_string();
+        let message = Valid::new(config).unwrap_err().to_string();
         assert_eq!(
             message,
             "bus.connect: with keys every endpoint is `quic/ADDRESS:PORT` or `tls/ADDRESS:PORT`, and tcp/10.0.0.1:7447 is not"
@@ -251,7 +214,7 @@ mod tests {
         let check = |change: fn(&mut BusConfig), message: &str| {
             let mut config = BusConfig::default();
             change(&mut config);
-            assert_eq!(config.validate().unwrap_err().to_string(), message);
+            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
         };
         check(|c| c.run = "My Run".into(), r#"bus.run = "My Run": expected 1 to 64 characters of a-z, 0-9 and -"#);
         check(

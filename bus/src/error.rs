@@ -3,15 +3,12 @@
 use std::io;
 use std::path::PathBuf;
 
-use super::{BusConfigError, KeysError};
+use super::KeysError;
 use proto::codec::{DecodeError, Refusal};
 
 /// An error of a session.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
-    /// The configuration breaks a rule.
-    #[error(transparent)]
-    Config(#[from] BusConfigError),
     /// The keys cannot be used.
     #[error(transparent)]
     Keys(#[from] KeysError),

@@ -210,16 +210,16 @@ impl Pace {
 
 #[cfg(test)]
 mod tests {
+    use proto::Valid;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use super::*;
-    use crate::BusConfig;
 
     /// Queries in one process pass no router, so that all of them arrive.
     #[tokio::test(flavor = "multi_thread")]
     async fn of_many_queries_at_once_few_are_answered_from_one_buffer_and_the_rest_is_refused() {
         const N_FLOOD: usize = 10_000;
-        let bus = Bus::open(&BusConfig::default()).await.unwrap();
+        let bus = Bus::open(&Valid::default()).await.unwrap();
         let latest = Latest::declare(&bus, "key".to_owned(), Encoding::default()).await.unwrap();
         latest.set(ZBytes::from(vec![7; 1_000_000]));
         let buffers = Arc::new(Mutex::new(Vec::new()));

@@ -34,7 +34,7 @@ mod viewer;
 mod weights;
 
 pub use alive::{AliveToken, AliveWatch};
-pub use config::{BusConfig, BusConfigError, BusMode};
+pub use config::{BusConfig, BusMode};
 pub use error::{BusError, SendError};
 pub use gate::JoinCounts;
 pub use history::HistoryAnswer;

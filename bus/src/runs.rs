@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use super::{Bus, BusConfig, BusError};
-use proto::keys;
+use proto::{Valid, keys};
 
 /// Maximum number of names returned.
 const MAX_RUNS: usize = 100;
@@ -18,7 +18,7 @@ const ASK_TIMEOUT: Duration = Duration::from_secs(3);
 ///
 /// # Errors
 /// Those of [`Bus::open`], or if the session fails.
-pub async fn runs(config: &BusConfig) -> Result<BTreeSet<String>, BusError> {
+pub async fn runs(config: &Valid<BusConfig>) -> Result<BTreeSet<String>, BusError> {
     let bus = Bus::open_within(keys::ROOT, config).await?;
     let names = ask(&bus).await;
     bus.close().await;

@@ -12,8 +12,8 @@ use zenoh::Wait;
 use super::counters::BusCounters;
 use super::gate::Gate;
 use super::{BusConfig, BusError, BusMode, JoinCounts, Pulse};
-use proto::keys;
 use proto::metrics::BusCounts;
+use proto::{Valid, keys};
 
 /// Timeout of closing a session.
 const CLOSE_LIMIT: Duration = Duration::from_secs(10);
@@ -26,7 +26,7 @@ const CLOSE_LIMIT_ALONE: Duration = Duration::from_millis(250);
 #[derive(Clone, Debug)]
 pub struct Bus {
     pub(super) session: zenoh::Session,
-    pub(super) config: Arc<BusConfig>,
+    pub(super) config: Valid<BusConfig>,
     pub(super) counters: Arc<BusCounters>,
     pub(super) pulse: Pulse,
     pub(super) gate: Option<Arc<Gate>>,
@@ -39,14 +39,13 @@ impl Bus {
     /// behind a thread that keeps trying; it holds neither the runtime nor the process.
     ///
     /// # Errors
-    /// If the configuration is invalid, or an endpoint is invalid or cannot be listened on.
-    pub async fn open(config: &BusConfig) -> Result<Self, BusError> {
+    /// If an endpoint cannot be listened on, or the keys cannot be used.
+    pub async fn open(config: &Valid<BusConfig>) -> Result<Self, BusError> {
         Self::open_within(&keys::namespace(&config.run), config).await
     }
 
     /// Like [`Self::open`], but all keys have the prefix `namespace` instead of the run's.
-    pub(super) async fn open_within(namespace: &str, config: &BusConfig) -> Result<Self, BusError> {
-        config.validate()?;
+    pub(super) async fn open_within(namespace: &str, config: &Valid<BusConfig>) -> Result<Self, BusError> {
         check_clock(SystemTime::now())?;
         let credentials = config.read_keys()?;
         let gate = match &credentials {
@@ -74,7 +73,7 @@ impl Bus {
         if let Some(gate) = &gate {
             gate.open();
         }
-        let (config, counters, pulse) = (Arc::new(config.clone()), Arc::default(), Pulse::default());
+        let (config, counters, pulse) = (config.clone(), Arc::default(), Pulse::default());
         let next_query = Arc::new(Mutex::new(Instant::now()));
         Ok(Self { session, config, counters, pulse, gate, next_query })
     }

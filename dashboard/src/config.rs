@@ -3,7 +3,7 @@
 use std::fmt;
 use std::net::SocketAddr;
 
-use proto::settings;
+use proto::{InvalidSetting, settings};
 use serde::{Deserialize, Serialize};
 
 /// Minimum and maximum length of a token in characters. Sixteen letters and digits hold 95 bits.
@@ -14,12 +14,12 @@ settings! {
     #[derive(Eq)]
     pub struct DashboardConfig {
         /// Web page about the training, served by the evaluator process. Absent: no page.
-        pub web: Option<WebConfig> = None;
+        pub web: Option<WebConfig>;
     }
 
     /// Where the page is served and who may see it.
     #[derive(Eq)]
-    pub struct WebConfig {
+    pub struct WebConfig in "dashboard.web", check access {
         /// Address and port. Port 0 lets the system choose one. An address other than loopback requires `token` or
         /// `hosts`. The connection is unencrypted: outside a trusted network, put a TLS proxy in front of it.
         pub listen: SocketAddr = SocketAddr::from(([127, 0, 0, 1], 0));
@@ -39,45 +39,19 @@ settings! {
 #[serde(transparent)]
 pub struct Token(String);
 
-/// An invalid page setting.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum WebConfigError {
-    /// Other machines can reach the page, and no token or host list restricts access.
-    #[error(
-        "dashboard.web.listen = {0}, which others can reach: set dashboard.web.token, listen on 127.0.0.1, or, in a network of its own, name in \
-         dashboard.web.hosts how it is reached"
-    )]
-    NoToken(SocketAddr),
-    /// The token is too short, too long, or contains other characters. The error does not include the token.
-    #[error("dashboard.web.token has {n_characters} characters: expected 16 to 128 of A-Z, a-z, 0-9, - and _")]
-    Token {
-        /// Length of the token.
-        n_characters: usize,
-    },
-}
-
-impl DashboardConfig {
-    /// Checks every field.
-    ///
-    /// # Errors
-    /// Returns an error if other machines can reach the page and neither `token` nor `hosts` is set, or if the token is
-    /// invalid.
-    pub fn validate(&self) -> Result<(), WebConfigError> {
-        self.web.as_ref().map_or(Ok(()), WebConfig::validate)
-    }
-}
-
 impl WebConfig {
-    /// Checks that a page that other machines can reach requires a token or restricts its host names.
-    ///
-    /// # Errors
-    /// Returns an error if a required token is missing or the token is invalid.
-    pub fn validate(&self) -> Result<(), WebConfigError> {
+    /// A page that other machines can reach requires a token or restricts its host names.
+    fn access(&self, path: &str) -> Result<(), InvalidSetting> {
         match &self.token {
-            None if !self.listen.ip().is_loopback() && self.hosts.is_empty() => {
-                Err(WebConfigError::NoToken(self.listen))
-            }
-            Some(token) if !token.is_usable() => Err(WebConfigError::Token { n_characters: token.0.chars().count() }),
+            None if !self.listen.ip().is_loopback() && self.hosts.is_empty() => Err(InvalidSetting::new(format!(
+                "{path}.listen = {}, which others can reach: set {path}.token, listen on 127.0.0.1, or, in a network \
+                 of its own, name in {path}.hosts how it is reached",
+                self.listen
+            ))),
+            Some(token) if !token.is_usable() => Err(InvalidSetting::new(format!(
+                "{path}.token has {} characters: expected 16 to 128 of A-Z, a-z, 0-9, - and _",
+                token.0.chars().count()
+            ))),
             _ => Ok(()),
         }
     }
@@ -117,6 +91,8 @@ impl fmt::Debug for Token {
 
 #[cfg(test)]
 mod tests {
+    use proto::Valid;
+
     use super::*;
 
     #[test]
@@ -146,11 +122,12 @@ mod tests {
             ),
         ];
         let default = WebConfig::default();
-        assert!(default.listen.ip().is_loopback() && default.token.is_none() && default.validate().is_ok());
+        assert!(default.listen.ip().is_loopback() && default.token.is_none());
+        assert_eq!(Valid::new(default).err(), None);
         for (listen, token, error) in table {
             let token = token.map(|token| Token(token.to_owned()));
             let config = WebConfig { listen: listen.parse().unwrap(), token, hosts: Vec::new() };
-            assert_eq!(config.validate().err().map(|error| error.to_string()).as_deref(), error, "{listen}");
+            assert_eq!(Valid::new(config).err().map(|error| error.to_string()).as_deref(), error, "{listen}");
         }
     }
 
@@ -158,7 +135,7 @@ mod tests {
     fn a_page_in_a_container_names_its_hosts() {
         let hosts = vec!["evaluator".to_owned()];
         let config = WebConfig { listen: "0.0.0.0:8080".parse().unwrap(), token: None, hosts };
-        assert_eq!(config.validate(), Ok(()));
+        assert_eq!(Valid::new(config).err(), None);
     }
 
     #[test]

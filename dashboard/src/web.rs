@@ -31,8 +31,8 @@ use anyhow::Context;
 use blueprints::BlueprintId;
 use bus::Bus;
 use policy::PolicyConfig;
-use proto::Weights;
 use proto::metrics::LearnerMetrics;
+use proto::{Valid, Weights};
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
@@ -73,7 +73,7 @@ pub enum WebError {
 pub struct Page {
     listener: TcpListener,
     address: SocketAddr,
-    config: WebConfig,
+    config: Valid<WebConfig>,
 }
 
 /// Data sources of a page, in addition to the bus.
@@ -84,7 +84,7 @@ pub struct Source {
     /// The newest weights. The page shows their attention.
     pub weights: watch::Receiver<Option<Arc<Weights>>>,
     /// Configuration of the policy that the weights belong to.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// The run whose videos are shown; `None` for no videos.
     pub run: Option<RunPaths>,
     /// Summary of the run.
@@ -105,7 +105,7 @@ pub struct FinishedRun {
     /// Its directory, for its videos.
     pub run: RunPaths,
     /// Configuration of the policy.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// The newest weights, if they can be read.
     pub weights: Option<Arc<Weights>>,
     /// Plays episodes on demand; `None` if the page offers none.
@@ -117,7 +117,7 @@ impl Page {
     ///
     /// # Errors
     /// Returns an error if the address is in use or does not belong to this machine.
-    pub async fn bind(config: &WebConfig) -> Result<Self, WebError> {
+    pub async fn bind(config: &Valid<WebConfig>) -> Result<Self, WebError> {
         let failed = |source| WebError::Bind { address: config.listen, source };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;

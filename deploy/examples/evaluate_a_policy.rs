@@ -21,7 +21,7 @@ fn main() -> anyhow::Result<()> {
 
     // Evaluate in the world that the policy was trained in.
     let preset = Preset::find("laptop")?;
-    let config = Config::parse(preset.text, preset.name)?;
+    let config = Config::parse(preset.text, preset.name)?.checked()?;
 
     let catalog = Catalog::builtin();
     let goals: Vec<&Blueprint> =
@@ -29,8 +29,8 @@ fn main() -> anyhow::Result<()> {
 
     let setup = EvalSetup {
         catalog,
-        environment: config.environment,
-        episodes: EpisodeConfig { n_episodes: 5, ..config.evaluator.episodes },
+        environment: Config::evaluation_environment(&config),
+        episodes: EpisodeConfig { n_episodes: 5, ..config.evaluator.episodes.clone() },
         reset_free: None,
         n_worlds: N_WORLDS,
         // The same seed gives the same start states, so two policies can be compared episode by episode.

@@ -7,6 +7,7 @@
 //! ```
 
 use bus::{Bus, BusConfig, BusMode};
+use proto::Valid;
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
@@ -16,6 +17,7 @@ async fn main() -> anyhow::Result<()> {
         // A router without a listen endpoint: other processes cannot join, but this process can use the bus.
         None => BusConfig::default(),
     };
+    let config = Valid::new(config)?;
     let bus = Bus::open(&config).await?;
 
     // A subscriber first receives the latest value of each key, then every new one. `**` matches all keys; try

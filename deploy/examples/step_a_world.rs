@@ -7,8 +7,8 @@
 
 use anyhow::Context as _;
 use blueprints::{BlockIdx, BlueprintId, Catalog, N_BLOCKS};
-use environment::{Env, EnvironmentConfig, Expert, World};
-use proto::{Start, Status, Task};
+use environment::{Env, Expert, World};
+use proto::{Start, Status, Task, Valid};
 
 fn main() -> anyhow::Result<()> {
     let id = std::env::args().nth(1).unwrap_or_else(|| "4_000".to_owned());
@@ -19,8 +19,8 @@ fn main() -> anyhow::Result<()> {
     let assignment: [BlockIdx; N_BLOCKS] = blocks.try_into().ok().context("the inventory has 16 blocks")?;
     let task = Task { blueprint, assignment, start: Start::Scattered, seed: 1 };
 
-    let config = EnvironmentConfig::default();
-    let mut world = World::new(&config)?;
+    let config = Valid::default();
+    let mut world = World::new(&config);
     world.reset(&task, Catalog::builtin())?;
 
     // Like a policy, the expert sees only the scene. Replace it with your own controller.

@@ -147,7 +147,7 @@ impl From<BusError> for Failure {
         match &error {
             // A file system that fails may work later, so this is not a setting that nobody can use.
             BusError::Keys(KeysError::Unreadable { kind, .. }) if !is_lasting(*kind) => Self::Checkpoint(error.into()),
-            BusError::Config(_) | BusError::Keys(_) => {
+            BusError::Keys(_) => {
                 Self::Config(ConfigError::Invalid { origin: "bus".to_owned(), message: error.to_string() })
             }
             _ => Self::Bus(error.into()),

@@ -7,7 +7,7 @@
 
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::{Env, EnvironmentConfig, World};
-use proto::{Action, Start, Status, Task};
+use proto::{Action, Start, Status, Task, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -17,12 +17,12 @@ const N_ROUNDS: u64 = 5;
 const HELD: usize = 9;
 
 /// Runs one round from a seed and returns the control steps per CPU-second.
-type Case = fn(&EnvironmentConfig, u64) -> f64;
+type Case = fn(&Valid<EnvironmentConfig>, u64) -> f64;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     let has = |flag: &str| arguments.iter().any(|argument| argument == flag);
-    let config = EnvironmentConfig::default();
+    let config = Valid::default();
     let cases: [(&str, Case); 4] = [("settled", settled), ("random", random), ("held", held), ("moved", moved)];
     let mut lines = vec![];
     let all = !cases.iter().any(|(name, _)| has(name));
@@ -42,7 +42,7 @@ fn main() {
 }
 
 /// All blocks at rest on the ground, nothing held.
-fn settled(config: &EnvironmentConfig, seed: u64) -> f64 {
+fn settled(config: &Valid<EnvironmentConfig>, seed: u64) -> f64 {
     let mut world = scattered(config, seed);
     (0..20).for_each(|_| {
         world.step(&idle());
@@ -53,7 +53,7 @@ fn settled(config: &EnvironmentConfig, seed: u64) -> f64 {
 }
 
 /// Uniformly random blocks and moves in episodes of 100 steps.
-fn random(config: &EnvironmentConfig, seed: u64) -> f64 {
+fn random(config: &Valid<EnvironmentConfig>, seed: u64) -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut world = scattered(config, seed);
     let mut n = 0;
@@ -70,7 +70,7 @@ fn random(config: &EnvironmentConfig, seed: u64) -> f64 {
 }
 
 /// A gripper holds a row of all 16 blocks in the air, end to end as in the peer script.
-fn held(config: &EnvironmentConfig, seed: u64) -> f64 {
+fn held(config: &Valid<EnvironmentConfig>, seed: u64) -> f64 {
     let (mut world, _) = lifted(config, seed);
     let still = hold([0.0; 6]);
     timed(N_STEPS, || {
@@ -79,7 +79,7 @@ fn held(config: &EnvironmentConfig, seed: u64) -> f64 {
 }
 
 /// A gripper swings the row back and forth.
-fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
+fn moved(config: &Valid<EnvironmentConfig>, seed: u64) -> f64 {
     let (mut world, up) = lifted(config, seed);
     let velocity = |sign: f32| [0.0, 0.0, 0.0, 0.08 * sign * up.x, 0.08 * sign * up.y, 0.08 * sign * up.z];
     let (there, back) = (hold(velocity(1.0)), hold(velocity(-1.0)));
@@ -91,11 +91,11 @@ fn moved(config: &EnvironmentConfig, seed: u64) -> f64 {
 }
 
 /// Returns the row in the air and the upward direction in the frame of the held block.
-fn lifted(config: &EnvironmentConfig, seed: u64) -> (World, nalgebra::Vector3<f32>) {
+fn lifted(config: &Valid<EnvironmentConfig>, seed: u64) -> (World, nalgebra::Vector3<f32>) {
     let row = row();
     let catalog = Catalog::from_files([("16_999.toml", row.as_str())]).unwrap();
     let goal = catalog.iter().next().unwrap();
-    let mut world = World::new(config).unwrap();
+    let mut world = World::new(config);
     let task = task(goal, Start::Prebuilt(goal.id().clone()), seed);
     world.reset(&task, &catalog).unwrap();
     let q = world.scene().blocks[HELD].orientation;
@@ -142,9 +142,9 @@ fn idle() -> Action {
     Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] }
 }
 
-fn scattered(config: &EnvironmentConfig, seed: u64) -> World {
+fn scattered(config: &Valid<EnvironmentConfig>, seed: u64) -> World {
     let goal = Catalog::builtin().iter().next().unwrap();
-    let mut world = World::new(config).unwrap();
+    let mut world = World::new(config);
     world.reset(&task(goal, Start::Scattered, seed), Catalog::builtin()).unwrap();
     world
 }

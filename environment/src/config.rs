@@ -3,7 +3,7 @@
 //! The paper gives none of these numbers. The defaults come from experiments with this physics engine.
 #![expect(clippy::approx_constant, reason = "6.28 is a chosen speed limit, not one turn")]
 
-use proto::{InvalidSetting, settings};
+use proto::{InvalidSetting, Valid, settings};
 
 settings! {
     /// Configuration of a [`World`](crate::World).
@@ -95,8 +95,8 @@ settings! {
 
 impl EnvironmentConfig {
     /// Returns the same configuration without randomization.
-    pub fn nominal(&self) -> Self {
-        Self { randomization: RandomizationConfig::default(), ..self.clone() }
+    pub fn nominal(config: &Valid<Self>) -> Valid<Self> {
+        config.with(|config| config.randomization = RandomizationConfig::default()).expect("it has no ranges to check")
     }
 }
 
@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn the_defaults_are_valid() {
-        assert_eq!(EnvironmentConfig::default().validate(), Ok(()));
+        assert_eq!(Valid::new(EnvironmentConfig::default()).err(), None);
     }
 
     #[test]
@@ -139,7 +139,7 @@ mod tests {
         let message = |change: fn(&mut EnvironmentConfig)| {
             let mut config = EnvironmentConfig::default();
             change(&mut config);
-            config.validate().unwrap_err().to_string()
+            Valid::new(config).unwrap_err().to_string()
         };
         assert_eq!(message(|c| c.n_grippers = 3), "environment.n_grippers = 3: expected 1..=2");
         assert_eq!(message(|c| c.max_speed_mps = f32::NAN), "environment.max_speed_mps = NaN: expected 0.01..=10");

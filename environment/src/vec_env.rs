@@ -113,13 +113,13 @@ impl<E: Env> VecEnv<E> {
 
 #[cfg(test)]
 mod tests {
-    use proto::Start;
+    use proto::{Start, Valid};
 
     use super::*;
     use crate::{EnvironmentConfig, Expert, ExpertAgent, World, sample_assignment};
 
     fn worlds(n: usize) -> Vec<World> {
-        (0..n).map(|_| World::new(&EnvironmentConfig::default()).unwrap()).collect()
+        (0..n).map(|_| World::new(&Valid::default())).collect()
     }
 
     fn task(goal: &str, seed: u64) -> Task {
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn worlds_step_together_as_they_would_alone() {
-        let config = EnvironmentConfig::default();
+        let config = Valid::<EnvironmentConfig>::default();
         let mut envs = VecEnv::new(worlds(2));
         let mut alone = Vec::new();
         for (row, mut world) in worlds(2).into_iter().enumerate() {

@@ -15,7 +15,7 @@ use crate::randomization;
 use crate::reset::{self, Layout};
 use crate::reward::{potential, reward};
 use crate::success::is_success;
-use proto::InvalidSetting;
+use proto::Valid;
 
 /// Physics substeps per control step.
 pub(crate) const N_SUBSTEPS: u8 = 10;
@@ -43,8 +43,8 @@ const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
 /// use environment::{Env, EnvironmentConfig, Expert, World};
 /// use proto::{Start, Status, Task};
 ///
-/// let config = EnvironmentConfig::default();
-/// let mut world = World::new(&config)?;
+/// let config = proto::Valid::<EnvironmentConfig>::default();
+/// let mut world = World::new(&config);
 /// let blocks: Vec<BlockIdx> = BlockIdx::all().collect();
 /// let assignment = blocks.try_into().expect("16 blocks");
 /// let task = Task { blueprint: "2_000".parse()?, assignment, start: Start::Scattered, seed: 1 };
@@ -56,7 +56,7 @@ const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
 /// ```
 #[derive(Clone)]
 pub struct World {
-    config: EnvironmentConfig,
+    config: Valid<EnvironmentConfig>,
     engine: Engine,
     connections: Connections,
     grippers: Grippers,
@@ -73,11 +73,7 @@ pub struct World {
 
 impl World {
     /// Creates a world. Until its first [`Env::reset`], its scene is a placeholder and its steps are `Diverged`.
-    ///
-    /// # Errors
-    /// If a value of the configuration is out of range.
-    pub fn new(config: &EnvironmentConfig) -> Result<Self, InvalidSetting> {
-        config.validate()?;
+    pub fn new(config: &Valid<EnvironmentConfig>) -> Self {
         let inventory = Inventory::standard();
         let mut world = Self {
             engine: Engine::new(&config.physics, inventory),
@@ -93,7 +89,7 @@ impl World {
             config: config.clone(),
         };
         world.observe(0);
-        Ok(world)
+        world
     }
 
     /// Returns the configuration that the world was created with.

@@ -9,7 +9,7 @@ use environment::success::is_success;
 use environment::{Env, EnvironmentConfig, Expert, StableSuccess, World, contract};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task};
+use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task, Valid};
 
 fn task(blueprint: &Blueprint, start: Start, seed: u64) -> Task {
     let assignment = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
@@ -23,7 +23,7 @@ fn idle() -> Action {
 fn world(change: impl Fn(&mut EnvironmentConfig)) -> World {
     let mut config = EnvironmentConfig::default();
     change(&mut config);
-    World::new(&config).unwrap()
+    World::new(&Valid::new(config).unwrap())
 }
 
 fn block(index: u8) -> BlockIdx {
@@ -93,8 +93,8 @@ fn a_clone_goes_on_bit_for_bit() {
     let catalog = Catalog::builtin();
     let goal = catalog.get(&"4_000".parse().unwrap()).unwrap();
     for start in [Start::Scattered, Start::Prebuilt("6_000".parse().unwrap()), Start::NearGoal { undone: 2 }] {
-        let config = EnvironmentConfig::default();
-        let mut worlds = vec![World::new(&config).unwrap()];
+        let config = Valid::default();
+        let mut worlds = vec![World::new(&config)];
         worlds[0].reset(&task(goal, start, 1), catalog).unwrap();
         let mut expert = Expert::new(&config, worlds[0].blueprint()).unwrap();
         for step in 0..60 {
@@ -134,8 +134,8 @@ fn the_goal_pose_is_a_success_with_the_full_potential_for_every_blueprint() {
 
 #[test]
 fn a_built_goal_stands_in_physics_for_every_blueprint() {
-    let config = EnvironmentConfig::default();
-    let mut world = World::new(&config).unwrap();
+    let config = Valid::default();
+    let mut world = World::new(&config);
     for blueprint in Catalog::builtin().iter() {
         let start = Start::Prebuilt(blueprint.id().clone());
         world.reset(&task(blueprint, start, 1), Catalog::builtin()).unwrap();

@@ -11,9 +11,9 @@ use std::collections::BTreeMap;
 
 use anyhow::Context as _;
 use blueprints::{BlockIdx, Catalog, Split};
-use environment::{Env, EnvironmentConfig, World, sample_assignment};
+use environment::{Env, World, sample_assignment};
 use policy::proposals::{Kind, Proposals, Slot};
-use proto::{Action, Joint, Observation, Start, Status, Task};
+use proto::{Action, Joint, Observation, Start, Status, Task, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<()> {
     let args: Vec<u64> = std::env::args().skip(1).map(|arg| arg.parse()).collect::<Result<_, _>>()?;
     let [least, most, n_episodes] = args[..] else { anyhow::bail!("expected: LEAST MOST EPISODES") };
     let catalog = Catalog::builtin();
-    let mut world = World::new(&EnvironmentConfig::default())?;
+    let mut world = World::new(&Valid::default());
     let mut scores: BTreeMap<usize, Score> = BTreeMap::new();
     let goals = catalog.of_split(Split::Train);
     for goal in goals.iter().filter(|goal| (least..=most).contains(&(goal.n_blocks() as u64))) {

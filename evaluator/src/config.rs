@@ -10,7 +10,7 @@ pub(crate) const MIN_BLOCKS: usize = 12;
 
 settings! {
     /// When, on which blueprints, and how weights are evaluated.
-    pub struct EvaluatorConfig {
+    pub struct EvaluatorConfig in "evaluator" {
         /// Time between evaluations. Default: 10 minutes (paper, "Performance Evaluation").
         pub every: Every;
         /// Whether `train` evaluates the last weights before it ends, regardless of [`Self::every`].
@@ -153,14 +153,6 @@ impl Section for Every {
 }
 
 impl EvaluatorConfig {
-    /// Checks every setting.
-    ///
-    /// # Errors
-    /// Names the first setting that is out of range.
-    pub fn validate(&self) -> Result<(), InvalidSetting> {
-        self.validate_at("evaluator")
-    }
-
     /// Returns the blueprints for the evaluation of the last weights: the selection plus [`Self::last_splits`].
     pub fn last_selection(&self) -> Selection {
         let mut selection = self.selection.clone();
@@ -217,11 +209,13 @@ fn are_distinct<T: PartialEq>(items: &[T]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use proto::Valid;
+
     use super::*;
 
     #[test]
     fn the_defaults_are_valid() {
-        assert_eq!(EvaluatorConfig::default().validate(), Ok(()));
+        assert_eq!(Valid::new(EvaluatorConfig::default()).err(), None);
         assert_eq!(ResetFreeConfig::default().validate_at("reset_free"), Ok(()));
     }
 
@@ -278,7 +272,7 @@ mod tests {
             ),
         ];
         for (config, message) in table {
-            assert_eq!(config.validate().unwrap_err().to_string(), message);
+            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
         }
     }
 }

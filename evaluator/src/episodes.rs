@@ -3,7 +3,7 @@
 use blueprints::Blueprint;
 use policy::{Policy, PolicyConfig};
 use proto::metrics::{EvalReport, EvalResetFree};
-use proto::{Agent, Weights};
+use proto::{Agent, Valid, Weights};
 
 use crate::config::ResetFreeConfig;
 use crate::endings::Endings;
@@ -29,7 +29,7 @@ pub const FIRST_PART: usize = 32;
 /// If the weights do not fit, an episode cannot be started, or `keep_going` returns false.
 pub fn evaluate(
     setup: &EvalSetup<'_>,
-    policy: &PolicyConfig,
+    policy: &Valid<PolicyConfig>,
     weights: &Weights,
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
@@ -47,7 +47,7 @@ pub fn evaluate(
 /// If the weights do not fit or an episode cannot be started.
 pub fn evaluate_followed(
     setup: &EvalSetup<'_>,
-    policy: &PolicyConfig,
+    policy: &Valid<PolicyConfig>,
     weights: &Weights,
     blueprints: &[&Blueprint],
     follower: &Follower<'_>,

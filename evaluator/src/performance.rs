@@ -5,7 +5,7 @@ use environment::{EnvironmentConfig, ExpertAgent, Step, World};
 use parking_lot::Mutex;
 use policy::{Policy, PolicyConfig};
 use proto::{
-    ActionMode, ActorId, Agent, BehaviorPolicy, Observation, Scene, Start, Trajectory, Weights, WeightsVersion,
+    ActionMode, ActorId, Agent, BehaviorPolicy, Observation, Scene, Start, Trajectory, Valid, Weights, WeightsVersion,
 };
 
 use crate::recording::Recording;
@@ -19,14 +19,14 @@ pub enum Performer<'p> {
     /// The scripted expert.
     Expert,
     /// A policy with this configuration and these weights.
-    Policy(&'p PolicyConfig, &'p Weights),
+    Policy(&'p Valid<PolicyConfig>, &'p Weights),
 }
 
 /// The requested episode.
 #[derive(Clone, Copy, Debug)]
 pub struct Performance<'p> {
     /// The world.
-    pub environment: &'p EnvironmentConfig,
+    pub environment: &'p Valid<EnvironmentConfig>,
     /// The goal, which may be missing from the catalog.
     pub blueprint: &'p Blueprint,
     /// Goals built before it in the same world, without a reset. If empty, the blocks are scattered.
@@ -80,7 +80,7 @@ where
         })
         .collect();
     let mut sequences = std::iter::once((0, specs.as_slice()));
-    run_sequences(&rules, &mut agent, vec![World::new(environment)?], || sequences.next(), |_, _| {})?;
+    run_sequences(&rules, &mut agent, vec![World::new(environment)], || sequences.next(), |_, _| {})?;
     Ok(witness.seen.into_inner())
 }
 
@@ -139,7 +139,7 @@ mod tests {
 
     #[test]
     fn the_expert_builds_two_blocks_and_equal_seeds_give_equal_episodes() {
-        let environment = EnvironmentConfig::default();
+        let environment = Valid::default();
         let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
         let play = |seed| {
             let performance =
@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_goal_can_begin_with_what_is_left_of_those_before() {
-        let environment = EnvironmentConfig::default();
+        let environment = Valid::default();
         let goals = ["2_000", "2_001"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
         let play = |blueprint, before| {
             let performance =
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn nobody_waits_for_an_episode_that_is_no_longer_wanted() {
-        let environment = EnvironmentConfig::default();
+        let environment = Valid::default();
         let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
         let performance =
             Performance { environment: &environment, blueprint, before: &[], acting: ActionMode::Greedy, seed: 1 };

@@ -84,12 +84,12 @@ where
             keep_going: self.keep_going,
             observer: self.observer,
         };
-        let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
+        let worlds = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
         let done = |sequence_idx, results: Vec<EpisodeResult>| {
             self.change_progress(|progress| progress.n_ended += results.len() as u64);
             completed.push((sequence_idx, results));
         };
-        run_sequences(&rules, &mut agent, worlds?, || queue.take(), done)
+        run_sequences(&rules, &mut agent, worlds, || queue.take(), done)
     }
 
     fn change_progress(&self, change: impl FnOnce(&mut EvaluationProgress)) {

@@ -153,8 +153,8 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     use blueprints::Catalog;
-    use environment::{Env, EnvironmentConfig, World};
-    use proto::Status;
+    use environment::{Env, World};
+    use proto::{Status, Valid};
 
     use super::*;
     use crate::config::EpisodeConfig;
@@ -175,7 +175,7 @@ mod tests {
 
     fn setup(n_threads: usize) -> EvalSetup<'static> {
         let episodes = EpisodeConfig { n_episodes: 3, n_threads, ..EpisodeConfig::default() };
-        let environment = EnvironmentConfig::default();
+        let environment = Valid::default();
         EvalSetup { catalog: Catalog::builtin(), environment, episodes, reset_free: None, n_worlds: 1, seed: 5 }
     }
 
@@ -201,7 +201,7 @@ mod tests {
         assert_eq!(trajectories(&episodes), trajectories(&again));
         // The recorded actions lead from the start to the recorded end.
         let Recorded { trajectory, .. } = &episodes[0];
-        let mut world = World::new(&EnvironmentConfig::default()).unwrap();
+        let mut world = World::new(&Valid::default());
         world.reset(&trajectory.task, Catalog::builtin()).unwrap();
         for step in &trajectory.transitions {
             assert_eq!(world.scene(), &step.scene);

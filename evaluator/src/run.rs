@@ -74,7 +74,6 @@ pub struct Stop {
 /// started, the records cannot be opened or the history's last rows cannot be written at the end, or another evaluator
 /// writes the same history.
 pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
-    setup.config.validate().context("invalid evaluator configuration")?;
     setup.config.videos.check_in(&setup.catalog)?;
     let selection = [&setup.config.selection, &setup.config.last_selection()];
     let [selected, last_selected] = selection.map(|selection| goals(selection, &setup.catalog));
@@ -422,7 +421,7 @@ async fn evaluate_once(
     let (setup, shutdown, pulse) = (setup.clone(), shutdown.clone(), pulse.clone());
     on_thread(move || {
         let EvaluatorSetup { config, policy, environment, seed, catalog, .. } = setup;
-        let (episodes, reset_free) = (config.episodes, config.reset_free);
+        let (episodes, reset_free) = (config.episodes.clone(), config.reset_free.clone());
         let eval_setup = EvalSetup { catalog: &catalog, environment, episodes, reset_free, n_worlds: N_WORLDS, seed };
         let keep_going = || {
             pulse.beat();

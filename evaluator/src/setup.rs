@@ -6,7 +6,7 @@ use std::sync::Arc;
 use blueprints::Catalog;
 use environment::{EnvironmentConfig, StartError};
 use policy::{PolicyConfig, PolicyError};
-use proto::InvalidSetting;
+use proto::Valid;
 use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, MIN_BLOCKS, ResetFreeConfig};
@@ -20,7 +20,7 @@ pub struct EvalSetup<'c> {
     /// The catalog of blueprints.
     pub catalog: &'c Catalog,
     /// The world.
-    pub environment: EnvironmentConfig,
+    pub environment: Valid<EnvironmentConfig>,
     /// How episodes are run.
     pub episodes: EpisodeConfig,
     /// Reset-free runs in addition to the episodes, if any.
@@ -37,9 +37,6 @@ pub enum EvalError {
     /// The policy cannot be created or refuses the weights.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// The world cannot be created.
-    #[error(transparent)]
-    Environment(#[from] InvalidSetting),
     /// A start state cannot be created.
     #[error(transparent)]
     Start(#[from] StartError),
@@ -61,11 +58,11 @@ impl From<Infallible> for EvalError {
 #[derive(Clone, Debug)]
 pub struct EvaluatorSetup {
     /// When, on what, and how to evaluate.
-    pub config: EvaluatorConfig,
+    pub config: Valid<EvaluatorConfig>,
     /// The policy, which must match the learner's.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// The world.
-    pub environment: EnvironmentConfig,
+    pub environment: Valid<EnvironmentConfig>,
     /// Unique name of the process on the bus: 1 to 64 characters of `a-z`, `0-9`, `-`.
     pub id: String,
     /// Seed of start states and sampled actions.

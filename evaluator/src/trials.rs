@@ -3,7 +3,7 @@
 use blueprints::{Blueprint, Catalog};
 use environment::{Env, EnvironmentConfig, StartError, World};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use proto::{Action, Pose, Start, Task};
+use proto::{Action, Pose, Start, Task, Valid};
 
 use crate::config::EpisodeConfig;
 use crate::expert::evaluate_expert;
@@ -43,8 +43,8 @@ impl Settling {
 ///
 /// # Errors
 /// If the world cannot be created or has no room.
-pub fn settle(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<Settling, EvalError> {
-    let mut world = World::new(environment)?;
+pub fn settle(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprint) -> Result<Settling, EvalError> {
+    let mut world = World::new(environment);
     let catalog = Catalog::of_one(blueprint.clone());
     let mut worst = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for seed in 0..N_PLACES {
@@ -83,7 +83,7 @@ fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
 ///
 /// # Errors
 /// If the world cannot be created or has no room.
-pub fn try_building(environment: &EnvironmentConfig, blueprint: &Blueprint) -> Result<(u64, u64), EvalError> {
+pub fn try_building(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprint) -> Result<(u64, u64), EvalError> {
     let catalog = Catalog::of_one(blueprint.clone());
     let setup = EvalSetup {
         catalog: &catalog,
@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn every_built_in_blueprint_stands_for_two_seconds() {
         for blueprint in Catalog::builtin().iter() {
-            let found = settle(&EnvironmentConfig::default(), blueprint).unwrap();
+            let found = settle(&Valid::default(), blueprint).unwrap();
             assert!(found.is_calm(), "{}: {found:?}", blueprint.id());
         }
     }
@@ -122,6 +122,6 @@ mod tests {
         weak.magnets.break_force_n = 1.0;
         weak.physics.density_kgpm3 *= 2.0;
         let blueprint = Catalog::builtin().get(&"literal_14_000".parse().unwrap()).unwrap();
-        assert!(!settle(&weak, blueprint).unwrap().is_calm());
+        assert!(!settle(&Valid::new(weak).unwrap(), blueprint).unwrap().is_calm());
     }
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use bus::Bus;
 use policy::{Policy, PolicyConfig};
-use proto::Weights;
+use proto::{Valid, Weights};
 use tokio::sync::watch;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -17,7 +17,7 @@ type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 pub(crate) fn validated(
     mut arrivals: Arrivals,
     usable: watch::Sender<Option<Arc<Weights>>>,
-    config: PolicyConfig,
+    config: Valid<PolicyConfig>,
     bus: Bus,
 ) -> (Arrivals, AbortOnDropHandle<()>) {
     let validated = usable.subscribe();
@@ -37,7 +37,7 @@ pub(crate) fn validated(
     (validated, AbortOnDropHandle::new(task))
 }
 
-async fn passes(config: &PolicyConfig, weights: &Arc<Weights>, bus: &Bus) -> bool {
+async fn passes(config: &Valid<PolicyConfig>, weights: &Arc<Weights>, bus: &Bus) -> bool {
     let (config, tried) = (config.clone(), weights.clone());
     // Off the async runtime, because a forward pass blocks the thread.
     let trial = tokio::task::spawn_blocking(move || Policy::with_weights(&config, &tried));

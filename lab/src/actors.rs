@@ -10,6 +10,7 @@ mod text;
 mod usage;
 mod weights;
 
+use proto::Valid;
 use std::net::TcpListener;
 use std::path::Path;
 use std::sync::mpsc;
@@ -50,7 +51,6 @@ const PATIENCE_PER_ACTOR: Duration = Duration::from_millis(200);
 /// When a process cannot be started or fails, or an acknowledged segment was lost.
 pub(crate) fn run(args: &ActorsArgs, terminal: &Terminal) -> anyhow::Result<()> {
     let config = args.config.load(None, Vec::new()).map_err(Failure::from)?.config;
-    config.validate().map_err(Failure::from)?;
     if args.config.print_config {
         terminal.print(&config.to_toml());
         return Ok(());
@@ -93,7 +93,12 @@ struct Ring {
 }
 
 impl Ring {
-    fn start(args: &ActorsArgs, config: &Config, recording: &Recording, folder: TempDir) -> anyhow::Result<Self> {
+    fn start(
+        args: &ActorsArgs,
+        config: &Valid<Config>,
+        recording: &Recording,
+        folder: TempDir,
+    ) -> anyhow::Result<Self> {
         let (root, routers, doors) = match &args.connect {
             Some(endpoint) => (endpoint.clone(), Vec::new(), vec![endpoint.clone()]),
             None => start_routers(args, folder.path())?,

@@ -8,8 +8,7 @@ use std::time::Instant;
 
 use blueprints::{BlockIdx, BlueprintId, Catalog, N_BLOCKS};
 use learner::{DeviceKind, Learner, LearnerConfig, LearnerSetup};
-use policy::PolicyConfig;
-use proto::{Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition};
+use proto::{Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -27,8 +26,8 @@ fn main() {
         ..LearnerConfig::default()
     };
     let setup = LearnerSetup {
-        config,
-        policy: PolicyConfig::default(),
+        config: Valid::new(config).unwrap(),
+        policy: Valid::default(),
         catalog: Catalog::builtin().clone(),
         tasks: vec![id.clone()],
         generated: None,

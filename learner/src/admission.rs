@@ -359,7 +359,7 @@ mod tests {
         let hold = Some(Slot::alone(policy::proposals::Kind::Hold).index());
         let check = |move_head, behavior_policy, proposals| {
             let mut setup = small_setup(1);
-            setup.policy.network.move_head = move_head;
+            setup.policy = setup.policy.with(|c| c.network.move_head = move_head).unwrap();
             let mut drawn = trajectory(2, 5);
             drawn.behavior_policy = behavior_policy;
             drawn.transitions.iter_mut().for_each(|transition| transition.proposals = [hold, None]);

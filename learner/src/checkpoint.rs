@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use policy::PolicyConfig;
 use proto::codec::{decode_recording, encode_recording};
-use proto::{CanonicalSettings, Trajectory, Weights};
+use proto::{CanonicalSettings, Trajectory, Valid, Weights};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -51,7 +51,7 @@ pub struct Checkpoint {
     /// Counters, statistics, curriculum, and random number generator.
     pub state: LearnerState,
     /// The policy's configuration.
-    pub model: PolicyConfig,
+    pub model: Valid<PolicyConfig>,
     /// Settings of policy and worlds.
     pub settings: CanonicalSettings,
     /// Names and shapes of the parameters in the order of `parameters`.
@@ -308,14 +308,11 @@ fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) 
 }
 
 /// Parses and checks the configuration of a policy.
-pub(crate) fn parse_policy(path: &Path, value: Value) -> Result<PolicyConfig, CheckpointError> {
+pub(crate) fn parse_policy(path: &Path, value: Value) -> Result<Valid<PolicyConfig>, CheckpointError> {
     let unknown =
         |error: serde_json::Error| CheckpointError::UnknownPolicy { path: path.into(), reason: error.to_string() };
     let policy: PolicyConfig = serde_json::from_value(value).map_err(unknown)?;
-    match policy.validate() {
-        Ok(()) => Ok(policy),
-        Err(error) => Err(CheckpointError::Damaged { path: path.into(), reason: error.to_string() }),
-    }
+    Valid::new(policy).map_err(|error| CheckpointError::Damaged { path: path.into(), reason: error.to_string() })
 }
 
 fn pack<'t>(trajectories: impl IntoIterator<Item = &'t Trajectory>) -> Vec<u8> {

@@ -140,12 +140,14 @@ impl LearnerConfig {
 
 #[cfg(test)]
 mod tests {
+    use proto::Valid;
+
     use super::*;
 
     #[test]
     fn the_defaults_are_valid_and_survive_serialization() {
         let config = LearnerConfig::default();
-        config.validate().unwrap();
+        assert_eq!(Valid::new(config.clone()).err(), None);
         let text = serde_json::to_string(&config).unwrap();
         assert_eq!(serde_json::from_str::<LearnerConfig>(&text).unwrap(), config);
         assert_eq!(serde_json::from_str::<LearnerConfig>("{}").unwrap(), config);
@@ -170,7 +172,7 @@ mod tests {
         for (spoil, message) in cases {
             let mut config = LearnerConfig::default();
             spoil(&mut config);
-            assert_eq!(config.validate().unwrap_err().to_string(), message);
+            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
         }
     }
 

@@ -11,7 +11,7 @@ use policy::normalization::FeatureMoments;
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::PpoMetrics;
-use proto::{CanonicalSettings, InvalidSetting, Normalization, Refusal, Trajectory, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, Refusal, Trajectory, Valid, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -37,9 +37,9 @@ const N_FEATURE_SCENES: u64 = 500_000;
 #[derive(Clone, Debug)]
 pub struct LearnerSetup {
     /// The learner's settings.
-    pub config: LearnerConfig,
+    pub config: Valid<LearnerConfig>,
     /// The policy configuration that all services share.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// All blueprints; trajectories can refer to those of the training split.
     pub catalog: Arc<Catalog>,
     /// Blueprints to train on, from the catalog or the generator.
@@ -63,9 +63,6 @@ pub struct LearnerSetup {
 /// Errors from creating a learner.
 #[derive(Debug, thiserror::Error)]
 pub enum LearnerError {
-    /// A setting is out of range.
-    #[error(transparent)]
-    Config(#[from] InvalidSetting),
     /// The device does not exist.
     #[error(transparent)]
     Device(#[from] DeviceError),
@@ -122,11 +119,9 @@ impl Learner {
     /// Creates a learner, untrained unless `setup.init` is a policy.
     ///
     /// # Errors
-    /// If a setting is out of range, there is no training blueprint or an unknown one, the device cannot be opened, or
+    /// If there is no training blueprint or an unknown one, the device cannot be opened, or
     /// `setup.init` does not fit.
     pub fn new(setup: LearnerSetup) -> Result<Self, LearnerError> {
-        setup.config.validate()?;
-        setup.policy.validate()?;
         if setup.tasks.is_empty() {
             return Err(LearnerError::NoTasks);
         }
@@ -166,8 +161,7 @@ impl Learner {
             return Err(LearnerError::TooLarge(n_parameters));
         }
         let init = setup.init.clone();
-        // The configuration is valid, so this cannot fail.
-        let tried = Policy::new(&setup.policy)?;
+        let tried = Policy::new(&setup.policy);
         let mut learner = Self { ppo, state, mailbox, n_unmade: 0, tried, n_refused: 0, setup };
         if let Some(model) = init {
             learner.start_from(&model)?;
@@ -177,7 +171,7 @@ impl Learner {
 
     /// Copies the parameters and statistics of a policy.
     fn start_from(&mut self, model: &Model) -> Result<(), LearnerError> {
-        let mut theirs = model.policy.clone();
+        let mut theirs = PolicyConfig::clone(&model.policy);
         theirs.network.init_std = self.setup.policy.network.init_std;
         if let Some(difference) = self.setup.policy.network_difference(&theirs) {
             return Err(LearnerError::Init(difference.between("there", "in this run")));

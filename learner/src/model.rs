@@ -11,7 +11,7 @@ use blueprints::outside;
 use burn::tensor::Device;
 use policy::{Network, PolicyConfig};
 use proto::codec::MAX_WEIGHTS_BYTES;
-use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, Valid, Weights, WeightsVersion};
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -31,7 +31,7 @@ const MAX_FILE_BYTES: u64 = MAX_WEIGHTS_BYTES as u64 + (4 << 20);
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
     /// The configuration of the policy.
-    pub policy: PolicyConfig,
+    pub policy: Valid<PolicyConfig>,
     /// The parameters, without task probabilities.
     pub weights: Weights,
     /// How well it did, if it was chosen for that; the evaluator's words.
@@ -65,7 +65,7 @@ impl From<&Checkpoint> for Model {
 
 impl Model {
     /// Creates the model of a policy from weights as they are published, which must be of its network.
-    pub fn new(policy: &PolicyConfig, weights: &Weights) -> Self {
+    pub fn new(policy: &Valid<PolicyConfig>, weights: &Weights) -> Self {
         let network = Network::init(&policy.network, &policy.sizes(), 0, &Device::flex());
         let table = network.table().iter().map(ParameterInfo::from).collect();
         let weights =
@@ -82,7 +82,7 @@ impl Model {
             format_version: FORMAT_VERSION,
             weights_version: self.weights.version.0,
             n_env_steps: self.weights.n_env_steps,
-            policy: self.policy.clone(),
+            policy: PolicyConfig::clone(&self.policy),
             settings: self.weights.settings.clone(),
             digest: tensors::digest(&self.table, &self.weights.parameters),
             table: self.table.clone(),

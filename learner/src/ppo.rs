@@ -356,7 +356,7 @@ mod tests {
     fn a_segment_without_a_finite_log_probability_is_left_out_and_spoils_nothing() {
         for move_head in [MoveHead::Gaussian, MoveHead::Mixture] {
             let mut setup = small_setup(1);
-            setup.policy.network.move_head = move_head;
+            setup.policy = setup.policy.with(|c| c.network.move_head = move_head).unwrap();
             let weights = Learner::new(setup.clone()).unwrap().weights();
             let drawn = bandit(&setup, &weights, 128, &mut ChaCha8Rng::seed_from_u64(2));
             let update = |drawn: &[Trajectory]| {

@@ -14,7 +14,7 @@ use policy::{
     BatchTensors, FeatureBatch, FeatureConfig, FeatureSizes, MoveHead, Network, NetworkConfig, Policy, PolicyConfig,
     parameters,
 };
-use proto::{ActionMode, Agent, Gripper, Joint, Observation, Pose, Scene};
+use proto::{ActionMode, Agent, Gripper, Joint, Observation, Pose, Scene, Valid};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -103,7 +103,8 @@ fn update_on_burn(network: &Network, config: &FeatureConfig, b: usize) {
 fn decide(head: MoveHead, features: &FeatureConfig) {
     let network = NetworkConfig { move_head: head, ..NetworkConfig::default() };
     let config = PolicyConfig { network, features: *features, ..PolicyConfig::default() };
-    let mut policy = Policy::new(&config).expect("a valid configuration");
+    let config = Valid::new(config).expect("a valid configuration");
+    let mut policy = Policy::new(&config);
     let goals: Vec<&Blueprint> =
         Catalog::builtin().of_split(Split::Train).into_iter().filter(|goal| goal.n_blocks() >= 12).collect();
     let scenes: Vec<Scene> = goals.iter().map(|goal| half_built(goal)).collect();

@@ -7,7 +7,7 @@ use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::Device;
 use proto::{
     ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, N_GRIPPERS, Normalization, Observation,
-    SettingsDifference, Weights, WeightsVersion,
+    SettingsDifference, Valid, Weights, WeightsVersion,
 };
 use rand_chacha::ChaCha8Rng;
 
@@ -132,7 +132,7 @@ const LARGEST_OUTPUT: f32 = 1e6;
 /// A frozen policy on the CPU.
 #[derive(Debug)]
 pub struct Policy {
-    config: PolicyConfig,
+    config: Valid<PolicyConfig>,
     engine: Engine,
     normalization: Normalization,
     version: Option<WeightsVersion>,
@@ -142,23 +142,19 @@ pub struct Policy {
 
 impl Policy {
     /// Creates an untrained policy; its parameters are those of seed 0 until [`Policy::load`].
-    ///
-    /// # Errors
-    /// If the configuration is invalid.
-    pub fn new(config: &PolicyConfig) -> Result<Self, PolicyError> {
-        config.validate()?;
+    pub fn new(config: &Valid<PolicyConfig>) -> Self {
         let engine = Engine::new(config, 0, &Device::flex(), false);
         let normalization = Normalization { value_std: 1.0, ..Normalization::default() };
         let batch = FeatureBatch::of_policy(config);
-        Ok(Self { config: config.clone(), engine, normalization, version: None, batch })
+        Self { config: config.clone(), engine, normalization, version: None, batch }
     }
 
     /// Creates a policy that acts with `weights`.
     ///
     /// # Errors
-    /// If the configuration is invalid, or [`Policy::load`] refuses the weights.
-    pub fn with_weights(config: &PolicyConfig, weights: &Weights) -> Result<Self, PolicyError> {
-        let mut policy = Self::new(config)?;
+    /// Those of [`Policy::load`].
+    pub fn with_weights(config: &Valid<PolicyConfig>, weights: &Weights) -> Result<Self, PolicyError> {
+        let mut policy = Self::new(config);
         policy.load(weights)?;
         Ok(policy)
     }
@@ -181,7 +177,7 @@ impl Policy {
     /// distribution.
     pub fn load(&mut self, weights: &Weights) -> Result<(), PolicyError> {
         let version = weights.version;
-        let own = CanonicalSettings::default().with("policy", &self.config);
+        let own = CanonicalSettings::default().with("policy", &*self.config);
         check_settings(version, &weights.settings.section("policy"), &own)?;
         let expected = self.config.hash();
         if weights.network_hash != expected {

@@ -12,24 +12,27 @@ use policy::{
     BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig, ResnetConfig,
 };
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, Gripper, Joint, Normalization, Observation, Pose, Scene, Weights,
-    WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, Gripper, Joint, Normalization, Observation, Pose, Scene, Valid,
+    Weights, WeightsVersion,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// A small network, for tests that do not depend on its size.
-fn small() -> PolicyConfig {
+fn small() -> Valid<PolicyConfig> {
     let gat = GatConfig { n_layers: 1, n_heads: 2, head_dim: 8, mlp_hidden: 16, ..GatConfig::default() };
-    PolicyConfig {
-        network: NetworkConfig {
-            encoder: EncoderConfig::Gat(gat),
-            width: 8,
-            value_hidden: vec![16],
-            ..NetworkConfig::default()
-        },
-        ..PolicyConfig::default()
-    }
+    let network = NetworkConfig {
+        encoder: EncoderConfig::Gat(gat),
+        width: 8,
+        value_hidden: vec![16],
+        ..NetworkConfig::default()
+    };
+    Valid::new(PolicyConfig { network, ..PolicyConfig::default() }).unwrap()
+}
+
+/// The same, with the blueprint's mask.
+fn masked() -> Valid<PolicyConfig> {
+    small().with(|config| config.mask = BlockMask::Blueprint).unwrap()
 }
 
 fn weights(config: &PolicyConfig, seed: u64) -> Weights {
@@ -92,7 +95,7 @@ fn rngs(seeds: &[u64]) -> Vec<ChaCha8Rng> {
 #[test]
 fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
     let config = small();
-    let mut policy = Policy::new(&config).unwrap();
+    let mut policy = Policy::new(&config);
     policy.load(&weights(&config, 1)).unwrap();
     let before = values(&mut policy, &[1, 2]);
     type Spoil = fn(&mut Weights);
@@ -122,7 +125,7 @@ fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
 #[test]
 fn a_scene_without_a_distribution_is_an_error() {
     let config = small();
-    let mut policy = Policy::new(&config).unwrap();
+    let mut policy = Policy::new(&config);
     // Global features 9..25 are the one-hot of the block that the first gripper holds; in the trial scene it is a goal
     // block.
     let stray = BlockIdx::all().find(|block| !blueprint().contains(*block)).unwrap();
@@ -150,7 +153,7 @@ fn a_scene_without_a_distribution_is_an_error() {
 #[test]
 fn a_decision_depends_on_its_own_scene_and_generator_alone() {
     let config = small();
-    let mut policy = Policy::new(&config).unwrap();
+    let mut policy = Policy::new(&config);
     policy.load(&weights(&config, 3)).unwrap();
     let seeds = [4, 5, 6];
     let together = act(&mut policy, &seeds);
@@ -168,8 +171,8 @@ fn a_decision_depends_on_its_own_scene_and_generator_alone() {
 
 #[test]
 fn features_decide_as_their_scenes_do() {
-    let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
-    let mut policy = Policy::new(&config).unwrap();
+    let config = masked();
+    let mut policy = Policy::new(&config);
     policy.load(&weights(&config, 3)).unwrap();
     let seeds = [4, 5, 6];
     let mut batch = FeatureBatch::new(&config.features);
@@ -180,8 +183,8 @@ fn features_decide_as_their_scenes_do() {
 
 #[test]
 fn the_mask_keeps_choices_in_the_blueprint() {
-    let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
-    let mut policy = Policy::new(&config).unwrap();
+    let config = masked();
+    let mut policy = Policy::new(&config);
     for decision in act(&mut policy, &(0..64).collect::<Vec<_>>()) {
         assert!(decision.action.choices.iter().flatten().all(|block| blueprint().contains(*block)));
         assert!(decision.log_prob.is_finite());
@@ -206,8 +209,8 @@ fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
 
 #[test]
 fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
-    let config = PolicyConfig { mask: BlockMask::Blueprint, ..small() };
-    let mut policy = Policy::new(&config).unwrap();
+    let config = masked();
+    let mut policy = Policy::new(&config);
     policy.load(&weights(&config, 5)).unwrap();
     let scenes = scenes(&[7, 8]);
     let attention = policy.attention(&observations(&scenes));
@@ -233,7 +236,7 @@ fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
 #[test]
 fn values_come_back_in_reward_units() {
     let config = small();
-    let mut policy = Policy::new(&config).unwrap();
+    let mut policy = Policy::new(&config);
     let mut scaled = weights(&config, 1);
     policy.load(&scaled).unwrap();
     let raw = values(&mut policy, &[1])[0];
@@ -263,7 +266,7 @@ fn statistics_leave_bits_alone_and_center_the_rest() {
     assert!(mean.abs() < 1e-3 && (variance - 1.0).abs() < 1e-2, "{mean} {variance}");
     let mut scaled = weights(&config, 1);
     scaled.normalization = statistics;
-    Policy::new(&config).unwrap().load(&scaled).unwrap();
+    Policy::new(&config).load(&scaled).unwrap();
 }
 
 #[test]
@@ -307,10 +310,8 @@ fn initial_values_follow_haiku() {
 #[test]
 fn the_initial_standard_deviation_is_as_configured() {
     for (init_std, expected) in [(None, 2.0_f32.ln()), (Some(0.5), 0.5), (Some(0.05), 0.05)] {
-        let mut config = small();
-        config.network.init_std = init_std;
-        config.validate().unwrap();
-        let decisions = act(&mut Policy::new(&config).unwrap(), &(0..200).collect::<Vec<_>>());
+        let config = small().with(|config| config.network.init_std = init_std).unwrap();
+        let decisions = act(&mut Policy::new(&config), &(0..200).collect::<Vec<_>>());
         let squares: Vec<f32> =
             decisions.iter().flat_map(|d| d.action.moves.into_iter().flatten()).map(|x| x * x).collect();
         let std = (squares.iter().sum::<f32>() / squares.len() as f32).sqrt();
@@ -333,6 +334,6 @@ fn bad_settings_name_the_field_and_the_range() {
     for (spoil, message) in cases {
         let mut config = PolicyConfig::default();
         spoil(&mut config);
-        assert_eq!(Policy::new(&config).unwrap_err().to_string(), message);
+        assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
     }
 }

@@ -22,7 +22,7 @@
 //! }
 //!
 //! let config = InboxConfig { walk: WalkConfig { speed_mps: f32::NAN }, ..Default::default() };
-//! let error = config.validate().unwrap_err().to_string();
+//! let error = proto::Valid::new(config).unwrap_err().to_string();
 //! assert_eq!(error, "inbox.walk.speed_mps = NaN: expected above 0 and at most 10");
 //! ```
 
@@ -32,28 +32,23 @@ use std::ops::{Bound, RangeBounds};
 use serde::Serialize;
 use serde_json::Value;
 
-/// A setting outside its range.
+/// A setting outside its range. The message names the key including its sections, the value, and what is valid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{key} = {value}: expected {expected}")]
-pub struct InvalidSetting {
-    /// The key including its sections, for example `actor.n_threads`.
-    pub key: String,
-    /// The given value.
-    pub value: String,
-    /// The valid values.
-    pub expected: String,
-}
+#[error("{0}")]
+pub struct InvalidSetting(String);
 
 impl InvalidSetting {
-    /// Returns an error that names the key if `ok` is false. NaN must make `ok` false.
+    /// An error with a message of its own, for rules that need advice.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self(message.into())
+    }
+
+    /// Returns an error that names the key, for example `actor.n_threads`, if `ok` is false. NaN must make `ok` false.
     ///
     /// # Errors
     /// If `ok` is false.
     pub fn check(key: impl Display, value: impl Display, ok: bool, expected: impl Display) -> Result<(), Self> {
-        if ok {
-            return Ok(());
-        }
-        Err(Self { key: key.to_string(), value: value.to_string(), expected: expected.to_string() })
+        if ok { Ok(()) } else { Err(Self(format!("{key} = {value}: expected {expected}"))) }
     }
 }
 
@@ -64,6 +59,12 @@ pub trait Section {
     /// # Errors
     /// Returns the first invalid setting.
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting>;
+}
+
+/// A section with a fixed place in the configuration.
+pub trait Root: Section {
+    /// Its key, empty for the whole tree.
+    const KEY: &'static str;
 }
 
 impl<T: Section> Section for Option<T> {
@@ -192,8 +193,8 @@ pub fn shown(value: &(impl Serialize + Debug)) -> String {
 ///   after `in`,
 /// - `pub name: Section;` for a nested [`Section`](crate::setting::Section) or an `Option` of one.
 ///
-/// The default and range are appended to the field's documentation. `struct Name in "key"` also gets `validate()` for a
-/// section with that key. `struct Name, check method` calls `method(&self, path: &str)` last, for rules that the forms
+/// The default and range are appended to the field's documentation. `struct Name in "key"` is the
+/// [`Root`](crate::setting::Root) with that key, which [`Valid`](crate::Valid) checks. `struct Name, check method` calls `method(&self, path: &str)` last, for rules that the forms
 /// above cannot express.
 ///
 /// `enum Name = Variant { … }` is a choice by `kind`. The default is `Variant` with the defaults of its section. Each
@@ -266,14 +267,8 @@ macro_rules! settings {
             }
         }
 
-        $(impl $name {
-            /// Checks every setting.
-            ///
-            /// # Errors
-            /// The error names the first invalid setting, its value, and what is expected.
-            $vis fn validate(&self) -> ::core::result::Result<(), $crate::InvalidSetting> {
-                $crate::setting::Section::validate_at(self, $root)
-            }
+        $(impl $crate::setting::Root for $name {
+            const KEY: &'static str = $root;
         })?
 
         $crate::settings! { $($rest)* }
@@ -358,7 +353,7 @@ mod tests {
     #[test]
     fn the_defaults_are_valid_and_every_key_may_be_left_out() {
         let config = Outer::default();
-        assert_eq!(config.validate(), Ok(()));
+        assert_eq!(config.validate_at(Outer::KEY), Ok(()));
         assert_eq!(serde_json::from_str::<Outer>("{}").unwrap(), config);
         assert_eq!((config.choice, config.inner), (Choice::Some(Inner { weight: 1.0 }), None));
         for unknown in
@@ -386,12 +381,12 @@ mod tests {
         for (spoil, message) in cases {
             let mut config = Outer::default();
             spoil(&mut config);
-            assert_eq!(config.validate().unwrap_err().to_string(), message);
+            assert_eq!(config.validate_at(Outer::KEY).unwrap_err().to_string(), message);
         }
         let ids: Vec<blueprints::BlueprintId> = vec!["2_000".parse().unwrap(), "2_001".parse().unwrap()];
         assert_eq!(shown(&ids), r#"["2_000", "2_001"]"#);
         assert_eq!([shown(&0.1_f32), shown(&f32::NAN), shown(&"a")], ["0.1", "NaN", "\"a\""]);
-        assert_eq!(Outer { choice: Choice::None(Empty {}), ..Default::default() }.validate(), Ok(()));
+        assert_eq!(Outer { choice: Choice::None(Empty {}), ..Default::default() }.validate_at("outer"), Ok(()));
         let ranges = [expected(&above_to(0.0, 1.0)), expected(&(..7)), expected::<u8>(&(..))];
         assert_eq!(ranges, ["above 0 and at most 1", "any number and below 7", "any number"]);
     }

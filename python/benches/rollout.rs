@@ -37,7 +37,7 @@ fn main() {
 fn rate<A: Agent<Error: Debug>>(mut agent: A, mode: ActionMode, seed: u64) -> f64 {
     let goals: Vec<BlueprintId> =
         Catalog::builtin().of_split(Split::Train).into_iter().map(Blueprint::id).cloned().collect();
-    let world = || World::new(&EnvironmentConfig::default()).unwrap();
+    let world = || World::new(&Valid::default());
     let mut envs = VecEnv::new((0..N_WORLDS).map(|_| world()).collect());
     let mut rngs: Vec<ChaCha8Rng> = (0..N_WORLDS as u64).map(|row| generator(seed, row)).collect();
     let begin = |envs: &mut VecEnv<World>, row: usize, rng: &mut ChaCha8Rng| {

@@ -9,10 +9,10 @@ use std::hint::black_box;
 
 use blueprints::{Blueprint, Catalog};
 use burn::tensor::Device;
-use environment::{Env, EnvironmentConfig, World, sample_assignment};
+use environment::{Env, World, sample_assignment};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes, Network, NetworkConfig, parameters};
-use proto::{Action, Observation, Scene, Start, Task};
+use proto::{Action, Observation, Scene, Start, Task, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -39,7 +39,7 @@ fn main() {
 fn begun(seed: u64) -> (World, Blueprint) {
     let catalog = Catalog::builtin();
     let goal = catalog.iter().find(|blueprint| blueprint.n_blocks() == 16).unwrap();
-    let mut world = World::new(&EnvironmentConfig::default()).unwrap();
+    let mut world = World::new(&Valid::default());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let assignment = sample_assignment(&mut rng);
     world.reset(&Task { blueprint: goal.id().clone(), assignment, start: Start::Scattered, seed }, catalog).unwrap();

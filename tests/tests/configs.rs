@@ -10,7 +10,7 @@ use crate::repository::{files, read, root, shown};
 fn every_preset_parses_and_round_trips() {
     for path in files(&root().join("deploy/config"), &["toml"]) {
         let config = Config::parse(&read(&path), &path.display().to_string()).unwrap();
-        config.validate().unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        config.clone().checked().unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let written = config.to_toml();
         assert_eq!(Config::parse(&written, "written again").unwrap(), config, "{}", path.display());
     }
@@ -19,7 +19,7 @@ fn every_preset_parses_and_round_trips() {
 #[test]
 fn the_defaults_are_valid_and_round_trip() {
     let config = Config::default();
-    config.validate().unwrap();
+    config.clone().checked().unwrap();
     assert_eq!(Config::parse(&config.to_toml(), "the defaults").unwrap(), config);
 }
 

@@ -1,5 +1,6 @@
 //! Joining a router while others keep connections open that lead nowhere. With `--nocapture`, the tests print seconds.
 
+use proto::Valid;
 use std::any::Any;
 use std::future::Future;
 use std::net::{SocketAddr, TcpListener as StdListener, UdpSocket as StdSocket};
@@ -47,14 +48,16 @@ impl Site {
         };
         let endpoint = format!("{protocol}/{at}");
         let security = security(&folder, protocol, "router");
-        let config = BusConfig { listen: vec![endpoint.clone()], security, ..BusConfig::default() };
+        let config =
+            Valid::new(BusConfig { listen: vec![endpoint.clone()], security, ..BusConfig::default() }).unwrap();
         let router = within("router", Bus::open(&config)).await.unwrap();
         Self { folder, endpoint, at, router }
     }
 
-    fn client_config(&self, role: &str) -> BusConfig {
+    fn client_config(&self, role: &str) -> Valid<BusConfig> {
         let security = security(&self.folder, self.endpoint.split('/').next().unwrap(), role);
-        BusConfig { mode: BusMode::Client, connect: vec![self.endpoint.clone()], security, ..BusConfig::default() }
+        let connect = vec![self.endpoint.clone()];
+        Valid::new(BusConfig { mode: BusMode::Client, connect, security, ..BusConfig::default() }).unwrap()
     }
 
     async fn client(&self, role: &str) -> Bus {

@@ -3,29 +3,31 @@
 use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
-use evaluator::{EvalSetup, N_WORLDS, evaluate};
+use evaluator::{EvalSetup, N_WORLDS, Selection, evaluate};
 use learner::{Learner, LearnerSetup};
+use proto::Valid;
 
 /// A preset trained in lockstep: worlds pause while the learner updates.
 struct Ring {
-    config: Config,
+    config: Valid<Config>,
     learner: Learner,
     worlds: Lockstep,
 }
 
 impl Ring {
-    fn config(preset: &str) -> Config {
+    fn config(preset: &str, change: impl FnOnce(&mut Config)) -> Valid<Config> {
         let preset = PRESETS.iter().find(|known| known.name == preset).unwrap();
         let mut config = Config::parse(preset.text, preset.name).unwrap();
         // All segments of a step arrive at once, and segments that find the mailbox full are not sent again.
         config.learner.mailbox.capacity_steps *= 2;
-        config
+        change(&mut config);
+        config.checked().unwrap()
     }
 
-    fn setup(config: &Config) -> LearnerSetup {
+    fn setup(config: &Valid<Config>) -> LearnerSetup {
         LearnerSetup {
-            config: config.learner.clone(),
-            policy: config.policy.clone(),
+            config: config.part(|config| &config.learner),
+            policy: config.part(|config| &config.policy),
             catalog: Catalog::builtin().clone(),
             tasks: config.actor.tasks.filter.select(Catalog::builtin()).unwrap(),
             generated: config.actor.tasks.draws(Catalog::builtin()).unwrap(),
@@ -37,12 +39,12 @@ impl Ring {
         }
     }
 
-    fn new(config: Config) -> Self {
+    fn new(config: Valid<Config>) -> Self {
         let learner = Learner::new(Self::setup(&config)).unwrap();
         let worlds = Lockstep::new(ActorSetup {
-            config: config.actor.clone(),
-            policy: config.policy.clone(),
-            environment: config.environment.clone(),
+            config: config.part(|config| &config.actor),
+            policy: config.part(|config| &config.policy),
+            environment: config.part(|config| &config.environment),
             id: "lockstep".parse().unwrap(),
             seed: config.seed,
             catalog: Catalog::builtin().clone(),
@@ -64,14 +66,15 @@ impl Ring {
     fn success_rate(&self) -> f64 {
         let setup = EvalSetup {
             catalog: Catalog::builtin(),
-            environment: self.config.environment.clone(),
+            environment: self.config.part(|config| &config.environment),
             episodes: self.config.evaluator.episodes.clone(),
             reset_free: None,
             n_worlds: N_WORLDS,
             seed: self.config.seed,
         };
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
-        let report = evaluate(&setup, &self.config.policy, &self.learner.weights(), &blueprints, &|| true).unwrap();
+        let (policy, weights) = (self.config.part(|config| &config.policy), self.learner.weights());
+        let report = evaluate(&setup, &policy, &weights, &blueprints, &|| true).unwrap();
         let all = report.summary.all;
         if all.greedy.success.n_episodes > 0 { all.greedy.success.rate } else { all.sampled.success.rate }
     }
@@ -79,7 +82,7 @@ impl Ring {
 
 #[test]
 fn ppo_learns_to_finish_a_blueprint() {
-    let mut ring = Ring::new(Ring::config("near-goal"));
+    let mut ring = Ring::new(Ring::config("near-goal", |_| {}));
     let untrained = ring.success_rate();
     let mut trained = untrained;
     while trained < 0.9 && ring.learner.n_env_steps() < ring.config.n_env_steps {
@@ -92,14 +95,13 @@ fn ppo_learns_to_finish_a_blueprint() {
 
 #[test]
 fn rewards_alone_teach_five_blocks_from_scattered_starts() {
-    let mut config = Ring::config("quickstart");
     let ids = ["5_001", "5_003"].map(|id| id.parse().unwrap()).to_vec();
-    config.actor.tasks.filter = TaskFilter::Blueprints(ids.clone());
-    config.evaluator.selection.splits = vec![blueprints::Split::Train];
-    config.evaluator.selection.sizes = [5, 5];
-    config.evaluator.selection.blueprints = ids;
-    config.evaluator.episodes.n_episodes = 20;
-    let mut ring = Ring::new(config);
+    let mut ring = Ring::new(Ring::config("quickstart", |config| {
+        config.actor.tasks.filter = TaskFilter::Blueprints(ids.clone());
+        config.evaluator.selection =
+            Selection { splits: vec![blueprints::Split::Train], sizes: [5, 5], blueprints: ids };
+        config.evaluator.episodes.n_episodes = 20;
+    }));
     let untrained = ring.success_rate();
     let mut trained = untrained;
     // With a Gaussian head, two blocks alone take a hundred times as many steps.

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use blueprints::{Catalog, Split};
 use evaluator::config::{EpisodeConfig, Starts};
-use evaluator::{EnvironmentConfig, EvalSetup, N_WORLDS, evaluate};
+use evaluator::{EvalSetup, N_WORLDS, evaluate};
 use learner::Model;
-use proto::ActionMode;
+use proto::{ActionMode, Valid};
 
 /// Steps to success in one greedy episode of each validation blueprint, from mixed starts with seed 1, or `None` for a
 /// failure; measured on a CPU with AVX-512. Other CPUs sum in a different order, and a few episodes end differently.
@@ -44,7 +44,7 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
     let catalog = Catalog::builtin();
     let setup = EvalSetup {
         catalog,
-        environment: EnvironmentConfig::default(),
+        environment: Valid::default(),
         episodes: EpisodeConfig {
             n_episodes: 1,
             starts: Starts::Mixed,

@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use anyhow::Context;
 use environment::{EnvironmentConfig, World};
 use policy::{Policy, PolicyError};
-use proto::Weights;
+use proto::{Valid, Weights};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 
@@ -20,18 +19,18 @@ type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 /// Runs a stepping thread, which may wait on the runtime that started it. `setup` has the seed of the run.
 pub(super) fn step_worlds(
     mut setup: RolloutSetup,
-    environment: &EnvironmentConfig,
+    environment: &Valid<EnvironmentConfig>,
     n_worlds: usize,
     mut weights: Arrivals,
     shared: &Shared,
     thread_idx: usize,
 ) -> anyhow::Result<()> {
-    let worlds: Result<Vec<World>, _> = (0..n_worlds).map(|_| World::new(environment)).collect();
+    let worlds = (0..n_worlds).map(|_| World::new(environment)).collect();
     let Some(first) = first_usable(&setup, &mut weights, shared)? else { return Ok(()) };
     let Identity { actor, epoch } = setup.identity.clone();
     let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
     setup.seed = life.thread_seed(thread_idx);
-    let rollout = Rollout::new(setup, worlds.context("invalid environment configuration")?, &first)?;
+    let rollout = Rollout::new(setup, worlds, &first)?;
     let mut stepper = Stepper { rollout, current: first, previous: None };
     while !shared.stop.is_cancelled() {
         if weights.has_changed().unwrap_or(false) {
@@ -65,7 +64,7 @@ fn first_usable(
     weights: &mut Arrivals,
     shared: &Shared,
 ) -> Result<Option<Arc<Weights>>, PolicyError> {
-    let mut policy = Policy::new(&setup.policy)?;
+    let mut policy = Policy::new(&setup.policy);
     loop {
         if let Some(newest) = weights.borrow_and_update().clone() {
             match setup.check(&newest).and_then(|()| policy.load(&newest)) {

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use blueprints::{BlockIdx, Catalog};
 use environment::EnvironmentConfig;
 use policy::{BlockMask, Network};
-use proto::Status;
+use proto::{Status, Valid};
 use tokio::sync::mpsc;
 
 use super::*;
@@ -26,8 +26,9 @@ fn config() -> ActorConfig {
 }
 
 fn setup(config: ActorConfig) -> ActorSetup {
-    let environment = EnvironmentConfig { episode_steps: 6, ..Default::default() };
+    let environment = Valid::new(EnvironmentConfig { episode_steps: 6, ..Default::default() }).unwrap();
     let catalog = Catalog::builtin().clone();
+    let config = Valid::new(config).unwrap();
     ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1, catalog }
 }
 
@@ -150,8 +151,14 @@ async fn an_actor_with_other_settings_than_its_run_ends_and_names_the_first() {
         theirs.settings()
     };
     let cases = [
-        (other(|s| s.environment.episode_steps = 7), "environment.episode_steps is 7 there and 6 here"),
-        (other(|s| s.policy.mask = BlockMask::Blueprint), r#"policy.mask is "blueprint" there and "none" here"#),
+        (
+            other(|s| s.environment = s.environment.with(|worlds| worlds.episode_steps = 7).unwrap()),
+            "environment.episode_steps is 7 there and 6 here",
+        ),
+        (
+            other(|s| s.policy = s.policy.with(|policy| policy.mask = BlockMask::Blueprint).unwrap()),
+            r#"policy.mask is "blueprint" there and "none" here"#,
+        ),
     ];
     for (theirs, difference) in cases {
         // With the first weights, and after the learner was replaced.

@@ -72,7 +72,7 @@ async fn name_invalid_in_a_key_is_refused() {
 #[tokio::test(flavor = "multi_thread")]
 async fn other_runs_of_a_router_are_listed() {
     let cluster = Cluster::start().await;
-    let config = |run: &str| bus::BusConfig { run: run.to_owned(), ..cluster.client_config() };
+    let config = |run: &str| cluster.client_config().with(|config| config.run = run.to_owned()).unwrap();
     let listed = async |run: &str| within("the runs", bus::runs(&config(run))).await.unwrap();
     assert_eq!(listed("paper").await, names(&[]));
     let paper = within("a client", bus::Bus::open(&config("paper"))).await.unwrap();

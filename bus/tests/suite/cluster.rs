@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use bus::{Bus, BusConfig, TrajectoryServer};
-use proto::{Refusal, Trajectory, WeightsVersion};
+use proto::{Refusal, Trajectory, Valid, WeightsVersion};
 use tempfile::TempDir;
 use tokio::sync::watch;
 
@@ -33,7 +33,7 @@ impl Cluster {
         Self { dir, router }
     }
 
-    pub(crate) fn client_config(&self) -> BusConfig {
+    pub(crate) fn client_config(&self) -> Valid<BusConfig> {
         BusConfig::isolated_client(self.dir.path())
     }
 

@@ -1,5 +1,6 @@
 //! A learner or a router that disappears and returns.
 
+use proto::Valid;
 use std::net::TcpListener;
 use std::sync::mpsc;
 use std::time::Duration;
@@ -84,7 +85,7 @@ async fn client_without_its_router_closes_in_time() {
 fn an_opening_that_nobody_waits_for_does_not_hold_its_runtime() {
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let connect = vec![format!("tcp/{}", silent.local_addr().unwrap())];
-    let config = BusConfig { mode: BusMode::Client, connect, ..BusConfig::default() };
+    let config = Valid::new(BusConfig { mode: BusMode::Client, connect, ..BusConfig::default() }).unwrap();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let opening = runtime.spawn(async move { Bus::open(&config).await.map(drop) });
     let _connection = silent.accept().unwrap();

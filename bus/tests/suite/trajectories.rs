@@ -2,8 +2,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use bus::{Bus, BusConfig, SendError, TrajectorySender};
-use proto::{Ack, ActorId, Refusal, Role, WeightsVersion};
+use bus::{Bus, SendError, TrajectorySender};
+use proto::{Ack, ActorId, Refusal, Role, Valid, WeightsVersion};
 
 use crate::cluster::{Cluster, Learner, until, within};
 use crate::samples;
@@ -29,7 +29,7 @@ async fn trajectory_arrives_whole_and_is_acknowledged() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn trajectories_work_within_one_process() {
-    let bus = Bus::open(&BusConfig::default()).await.unwrap();
+    let bus = Bus::open(&Valid::default()).await.unwrap();
     let learner = Learner::start(&bus, |_| Ok(())).await;
     let sender = sender(&bus, "a").await;
     within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();

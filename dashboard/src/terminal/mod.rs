@@ -5,6 +5,7 @@
 mod screen;
 mod view;
 
+use proto::Valid;
 use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::io::{self, IsTerminal};
@@ -82,7 +83,7 @@ pub enum WatchError {
 ///
 /// # Errors
 /// Returns an error if stdout is not a terminal, the bus cannot be opened, or the terminal fails.
-pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), WatchError> {
+pub async fn live(config: Valid<BusConfig>, shutdown: CancellationToken) -> Result<(), WatchError> {
     if !io::stdout().is_terminal() {
         return Err(WatchError::NoTerminal);
     }
@@ -97,7 +98,7 @@ pub async fn live(config: BusConfig, shutdown: CancellationToken) -> Result<(), 
 /// # Errors
 /// Returns an error if no metrics arrive within `patience`, or the bus cannot be opened.
 pub async fn once(
-    config: BusConfig,
+    config: Valid<BusConfig>,
     format: Format,
     patience: Duration,
     shutdown: CancellationToken,
@@ -138,7 +139,7 @@ pub async fn once(
 /// # Errors
 /// Returns an error if the bus cannot be opened, or `print` fails for another reason.
 pub async fn stream(
-    config: BusConfig,
+    config: Valid<BusConfig>,
     shutdown: CancellationToken,
     mut print: impl FnMut(&Value) -> io::Result<()>,
 ) -> Result<(), WatchError> {
@@ -172,7 +173,7 @@ pub async fn stream(
 
 /// Runs `show` alongside a task that keeps its view of the run up to date.
 async fn following<T>(
-    config: BusConfig,
+    config: Valid<BusConfig>,
     start: Instant,
     shutdown: CancellationToken,
     show: impl AsyncFnOnce(watch::Receiver<RunView>, CancellationToken) -> Result<T, WatchError>,
@@ -188,7 +189,7 @@ async fn following<T>(
 /// Keeps `run` up to date until `shutdown`. Its times count from `start`.
 async fn keep(
     run: watch::Sender<RunView>,
-    config: BusConfig,
+    config: Valid<BusConfig>,
     start: Instant,
     shutdown: CancellationToken,
 ) -> Result<(), BusError> {
@@ -217,7 +218,7 @@ async fn keep(
 }
 
 /// While the run is empty, looks up the other runs on the router, because the run name may be wrong.
-async fn seek_others(run: &watch::Sender<RunView>, config: &BusConfig) -> Infallible {
+async fn seek_others(run: &watch::Sender<RunView>, config: &Valid<BusConfig>) -> Infallible {
     let mut period = tokio::time::interval(SEEK_PERIOD);
     loop {
         period.tick().await;
@@ -241,7 +242,7 @@ fn elsewhere(others: &[String]) -> String {
 }
 
 /// Returns the error for a run that sent no metrics within `patience`.
-async fn silent(link: Link, config: &BusConfig, patience: Duration) -> WatchError {
+async fn silent(link: Link, config: &Valid<BusConfig>, patience: Duration) -> WatchError {
     let seconds = patience.as_secs();
     if link != Link::Connected {
         return WatchError::NoRouter { endpoints: config.connect.join(", "), seconds };
@@ -253,6 +254,6 @@ async fn silent(link: Link, config: &BusConfig, patience: Duration) -> WatchErro
     WatchError::Silent { run: config.run.clone(), seconds, others: others.into_iter().collect() }
 }
 
-fn source(config: &BusConfig) -> Source {
+fn source(config: &Valid<BusConfig>) -> Source {
     Source { run: config.run.clone(), endpoints: config.connect.clone() }
 }

@@ -4,7 +4,7 @@ use parking_lot::Mutex;
 use std::sync::Arc;
 
 use policy::{Policy, PolicyConfig};
-use proto::Weights;
+use proto::{Valid, Weights};
 use serde::Serialize;
 use tokio::sync::watch;
 
@@ -13,7 +13,7 @@ use render::video::{Episode, EpisodeAttention};
 /// Computes attention with the newest weights at the time of the request.
 #[derive(Debug)]
 pub(super) struct Observer {
-    config: PolicyConfig,
+    config: Valid<PolicyConfig>,
     weights: watch::Receiver<Option<Arc<Weights>>>,
     /// The policy with the most recently used weights.
     policy: Mutex<Option<Policy>>,
@@ -33,7 +33,7 @@ pub(super) struct AttentionView {
 
 impl Observer {
     /// Creates an observer for a stream of weights of this configuration.
-    pub(super) fn new(config: PolicyConfig, weights: watch::Receiver<Option<Arc<Weights>>>) -> Self {
+    pub(super) fn new(config: Valid<PolicyConfig>, weights: watch::Receiver<Option<Arc<Weights>>>) -> Self {
         Self { config, weights, policy: Mutex::default() }
     }
 
@@ -43,7 +43,7 @@ impl Observer {
         let weights = self.weights.borrow().clone()?;
         let mut kept = self.policy.lock();
         if kept.as_ref().and_then(Policy::version) != Some(weights.version) {
-            let mut policy = Policy::new(&self.config).ok()?;
+            let mut policy = Policy::new(&self.config);
             policy.load(&weights).ok()?;
             *kept = Some(policy);
         }

@@ -1,5 +1,6 @@
 //! A static copy of the page for any web server: every response that a browser could request becomes a file.
 
+use proto::Valid;
 use std::ffi::OsString;
 use std::path::{Component, Path, PathBuf};
 use std::{fs, io};
@@ -15,7 +16,6 @@ use serde_json::{Value, json};
 
 use super::events::Places;
 use super::routes::{self, ASSETS, Shown};
-use crate::config::WebConfig;
 
 /// Maximum size of a response. A video has a few hundred kilobytes, an episode less.
 const MAX_ANSWER_BYTES: usize = 64 << 20;
@@ -42,7 +42,7 @@ pub(super) async fn export(
     ensure!(!folder.exists(), unmade());
     let unfinished = Unfinished::create(folder).with_context(unmade)?;
     let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
-    let routes = TowerToHyperService::new(routes::routes(first, others, Places::default(), WebConfig::default()));
+    let routes = TowerToHyperService::new(routes::routes(first, others, Places::default(), Valid::default()));
     let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
     for (path, _, text) in ASSETS {
         let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));

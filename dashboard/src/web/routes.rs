@@ -1,5 +1,6 @@
 //! Endpoints and access control. Every route is fixed: no part of a request is ever used as a file path.
 
+use proto::Valid;
 use std::sync::Arc;
 
 use axum::Router;
@@ -89,9 +90,9 @@ pub(super) struct Shown {
 /// Builds the routes. All but the two for probes require the token of `config` or, without a token, a host name that is
 /// this machine's or in `hosts`. Of several runs, the first is at the root and run `i` is below `/runs/<i>`. Listening
 /// browsers take `places`.
-pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: WebConfig) -> Router {
+pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: Valid<WebConfig>) -> Router {
     let board = first.board.clone();
-    let guard = Arc::new(Guard { board: board.clone(), token: config.token, hosts: config.hosts });
+    let guard = Arc::new(Guard { board: board.clone(), token: config.token.clone(), hosts: config.hosts.clone() });
     let opens = first.about.kind == Kind::Play;
     // The gallery shows the goals of the first run.
     let catalog = first.about.catalog.clone();

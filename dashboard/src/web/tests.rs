@@ -8,7 +8,7 @@ use std::time::Duration;
 use blueprints::{BlueprintId, Catalog};
 use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
 use proto::codec::encode_recording;
-use proto::{Normalization, Role, WeightsVersion};
+use proto::{Normalization, Role, Valid, WeightsVersion};
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
@@ -41,7 +41,7 @@ struct Served {
 async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let bus = Bus::isolated(dir).await.unwrap();
     let token = token.map(|token| Token::from(token.to_owned()));
-    let page = Page::bind(&WebConfig { token, ..Default::default() }).await.unwrap();
+    let page = Page::bind(&Valid::new(WebConfig { token, ..Default::default() }).unwrap()).await.unwrap();
     let address = page.address();
     let (policy, newest) = untrained();
     let (passes, its_passes) = mpsc::unbounded_channel();
@@ -63,11 +63,11 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
 }
 
 /// A network small enough for tests, with its weights.
-fn untrained() -> (PolicyConfig, Weights) {
+fn untrained() -> (Valid<PolicyConfig>, Weights) {
     let gat = GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() };
     let network =
         NetworkConfig { encoder: EncoderConfig::Gat(gat), width: 8, value_hidden: vec![8], ..Default::default() };
-    let policy = PolicyConfig { network, ..Default::default() };
+    let policy = Valid::new(PolicyConfig { network, ..Default::default() }).unwrap();
     let network = Network::init(&policy.network, &policy.sizes(), 1, &DeviceKind::Cpu.open().unwrap());
     let weights = Weights {
         version: WeightsVersion(2),
@@ -567,7 +567,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
         let (passes, weights) = (vec![pass(n_env_steps, &[])], Some(Arc::new(weights)));
         FinishedRun { about, passes, learner: Vec::new(), run, policy, weights, stage: None }
     };
-    let page = Page::bind(&WebConfig::default()).await.unwrap();
+    let page = Page::bind(&Valid::default()).await.unwrap();
     let (address, shutdown) = (page.address(), CancellationToken::new());
     let task = tokio::spawn(page.show(
         finished("a", 100, Catalog::builtin().clone()),

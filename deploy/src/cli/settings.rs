@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use learner::config::LrSchedule;
+use proto::Valid;
 use runlog::RunPaths;
 
 use crate::config::{ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
@@ -42,8 +43,8 @@ pub struct ConfigArgs {
 /// A configuration and where it came from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// The configuration, merged from all layers.
-    pub config: Config,
+    /// The configuration, merged from all layers and checked.
+    pub config: Valid<Config>,
     /// The file and its base in words, for example "my.toml over the preset `quickstart`".
     pub source: String,
     /// The preset, unless a file or an ablation overrides it.
@@ -53,11 +54,10 @@ pub struct Settings {
 impl ConfigArgs {
     /// Merges all layers of the configuration.
     ///
-    /// With `resume`, the settings of the run in that folder replace the file and the preset; `flags` come last. The
-    /// result is not validated.
+    /// With `resume`, the settings of the run in that folder replace the file and the preset; `flags` come last.
     ///
     /// # Errors
-    /// Names the file, variable, or flag, and what would be valid.
+    /// Names the file, variable, or flag, or the setting, and what would be valid.
     pub fn load(&self, resume: Option<&PathBuf>, flags: Vec<Override>) -> Result<Settings, ConfigError> {
         let overrides = self.overrides(flags)?;
         let mut settings = self.merged(resume, &overrides)?;
@@ -73,7 +73,7 @@ impl ConfigArgs {
     /// Applies `overrides` to the resumed run, the file, or the preset.
     fn merged(&self, resume: Option<&PathBuf>, overrides: &[Override]) -> Result<Settings, ConfigError> {
         let settings = |text: &str, origin: &str, base, source, preset| -> Result<Settings, ConfigError> {
-            Ok(Settings { config: merge(text, origin, base, overrides)?, source, preset })
+            Ok(Settings { config: merge(text, origin, base, overrides)?.checked()?, source, preset })
         };
         if let Some(folder) = resume {
             // Runs of earlier versions name no base; like all others, they are merged over the defaults.
@@ -193,9 +193,9 @@ mod tests {
         assert_eq!((two_lines.config.actor.n_worlds, two_lines.preset), (3, None));
         assert_eq!(two_lines.config.learner, preset("quickstart").learner);
         assert!(two_lines.source.ends_with("my.toml over the preset `quickstart`"), "{}", two_lines.source);
-        assert_eq!(load("", Some("paper")).unwrap().config, preset("paper"));
-        assert_eq!(load("base = \"paper\"", None).unwrap().config, preset("paper"));
-        assert_eq!(load("base = \"none\"", None).unwrap().config, Config::default());
+        assert_eq!(*load("", Some("paper")).unwrap().config, preset("paper"));
+        assert_eq!(*load("base = \"paper\"", None).unwrap().config, preset("paper"));
+        assert_eq!(*load("base = \"none\"", None).unwrap().config, Config::default());
     }
 
     #[test]
@@ -211,13 +211,12 @@ mod tests {
         expected.bus.run = "single-gripper".to_owned();
         expected.environment.n_grippers = 1;
         expected.policy.features.n_grippers = 1;
-        assert_eq!((&settings.config, settings.preset), (&expected, None));
+        assert_eq!((&*settings.config, settings.preset), (&expected, None));
         assert_eq!(settings.source, "the preset `laptop`, with the ablation `single-gripper`");
         let text = load("no-attention", &[]).config.to_toml();
         assert!(text.contains("attention = false") && text.contains("head_dim = 32"), "the rest of the network stays");
         for ablation in ABLATIONS {
             let settings = load(ablation.name, &[]);
-            settings.config.validate().unwrap();
             assert_eq!(settings.config.bus.run, ablation.name);
         }
         assert_eq!(load("single-gripper", &["bus.run=one"]).config.bus.run, "one", "flags come last");

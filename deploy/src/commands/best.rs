@@ -1,5 +1,6 @@
 //! The best policy of a run, `checkpoints/best/`, chosen by the evaluator's verdict.
 
+use proto::Valid;
 use std::fs;
 use std::path::PathBuf;
 
@@ -14,7 +15,7 @@ use crate::replace::{PLAIN, replace};
 /// Keeps the best of the weights that an evaluator judges until it ends.
 ///
 /// A file that cannot be written does not end a run: a warning says so, and the next verdict tries again.
-pub(super) async fn keep(mut evaluated: mpsc::UnboundedReceiver<Scored>, policy: PolicyConfig, paths: RunPaths) {
+pub(super) async fn keep(mut evaluated: mpsc::UnboundedReceiver<Scored>, policy: Valid<PolicyConfig>, paths: RunPaths) {
     // Off the async runtime, because it waits for the disk.
     let keeping = tokio::task::spawn_blocking(move || {
         let mut keeper = Keeper::new(policy, &paths);
@@ -33,7 +34,7 @@ pub(super) fn verdict_of(model: &Model) -> Option<Verdict> {
 }
 
 struct Keeper {
-    policy: PolicyConfig,
+    policy: Valid<PolicyConfig>,
     path: PathBuf,
     /// The verdict on the policy in the file.
     kept: Option<Verdict>,
@@ -42,7 +43,7 @@ struct Keeper {
 }
 
 impl Keeper {
-    fn new(policy: PolicyConfig, paths: &RunPaths) -> Self {
+    fn new(policy: Valid<PolicyConfig>, paths: &RunPaths) -> Self {
         let path = paths.best();
         // What a killed process left of a file that it was writing.
         let entries = path.parent().and_then(|folder| fs::read_dir(folder).ok()).into_iter().flatten().flatten();

@@ -12,7 +12,7 @@ use super::expert;
 use super::goals::{Goals, tell_choices};
 use super::models::Source;
 use crate::cli::{EvalArgs, ModelArgs};
-use crate::config::Override;
+use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
@@ -47,7 +47,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     } else {
         named.iter().map(AsRef::as_ref).collect()
     };
-    let environment = config.evaluation_environment();
+    let environment = Config::evaluation_environment(&config);
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     episodes.n_threads = limits::n_threads(args.threads);
@@ -55,7 +55,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         catalog,
         environment,
         episodes,
-        reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
+        reset_free: args.reset_free.then(|| config.evaluator.reset_free.clone().unwrap_or_default()),
         n_worlds: N_WORLDS,
         seed: config.seed,
     };
@@ -66,7 +66,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
     let endings = args.endings.then(Endings::default);
     let weights = &source.model.weights;
-    let report = evaluate_followed(&setup, &config.policy, weights, &blueprints, &follower, endings.as_ref());
+    let report = evaluate_followed(&setup, &source.model.policy, weights, &blueprints, &follower, endings.as_ref());
     let n_ended = episodes.finish();
     let mut report = report.map_err(anyhow::Error::from)?;
     report.summary.elapsed_s = start.elapsed().as_secs_f64();

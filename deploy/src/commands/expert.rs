@@ -11,8 +11,8 @@ use blueprints::{Blueprint, Catalog, Split};
 use evaluator::{
     EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, Selection, evaluate_expert_followed, render_expert,
 };
-use proto::Trajectory;
 use proto::codec::encode_recording;
+use proto::{Trajectory, Valid};
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
@@ -69,9 +69,9 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
         catalog,
-        environment: config.evaluation_environment(),
-        episodes: EpisodeConfig { n_episodes: args.episodes, n_threads, ..config.evaluator.episodes },
-        reset_free: args.reset_free.then(|| config.evaluator.reset_free.unwrap_or_default()),
+        environment: Config::evaluation_environment(&config),
+        episodes: EpisodeConfig { n_episodes: args.episodes, n_threads, ..config.evaluator.episodes.clone() },
+        reset_free: args.reset_free.then(|| config.evaluator.reset_free.clone().unwrap_or_default()),
         // The expert plans for each world separately, so more than one world per thread gains nothing.
         n_worlds: 1,
         seed: config.seed,
@@ -101,12 +101,11 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
 }
 
 /// The default configuration with `overrides` applied.
-fn defaults(overrides: &[Override]) -> Result<Config, Failure> {
+fn defaults(overrides: &[Override]) -> Result<Valid<Config>, Failure> {
     let mut config = merge(DEFAULTS, "the defaults", Base::Defaults, overrides)?;
     // No policy acts here.
     config.policy.features.n_grippers = config.environment.n_grippers;
-    config.validate()?;
-    Ok(config)
+    Ok(config.checked()?)
 }
 
 fn splits(args: &EvalArgs) -> Vec<Split> {

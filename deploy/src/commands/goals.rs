@@ -340,7 +340,7 @@ mod tests {
         let config =
             crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
                 .unwrap();
-        config.validate().unwrap();
+        config.clone().checked().unwrap();
         assert_eq!(config.actor.tasks.generated_probability, 0.0);
         let selected = |catalog: &Catalog| {
             let selected = config.evaluator.selection.select(catalog).unwrap();

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use actor::{ActorSetup, Lockstep};
 use blueprints::Catalog;
 use learner::{Mailbox, Source};
-use proto::{ActorId, Trajectory, Weights};
+use proto::{ActorId, Trajectory, Valid, Weights};
 
 use super::actor_setup;
 use crate::config::Config;
@@ -18,7 +18,7 @@ pub(super) struct InProcess {
 
 impl InProcess {
     /// Creates the worlds; `catalog` has the goals.
-    pub(super) fn new(config: &Config, catalog: Arc<Catalog>) -> Self {
+    pub(super) fn new(config: &Valid<Config>, catalog: Arc<Catalog>) -> Self {
         let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
         let worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });
         Self { worlds, restarts: false }

@@ -25,6 +25,7 @@ mod watch;
 
 pub use self::services::{actor_setup, learner_setup};
 
+use proto::Valid;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -171,7 +172,6 @@ fn configure(
     terminal: &Terminal,
 ) -> Result<Option<Settings>, Failure> {
     let settings = args.load(resume, flags)?;
-    settings.config.validate()?;
     if args.print_config {
         terminal.print(&settings.config.to_toml());
         return Ok(None);
@@ -180,7 +180,7 @@ fn configure(
 }
 
 /// Joins the bus; `None` if `shutdown` comes before a router answers.
-async fn join_bus(config: &BusConfig, shutdown: &CancellationToken) -> Result<Option<Bus>, BusError> {
+async fn join_bus(config: &Valid<BusConfig>, shutdown: &CancellationToken) -> Result<Option<Bus>, BusError> {
     tokio::select! {
         () = shutdown.cancelled() => Ok(None),
         bus = Bus::open(config) => bus.map(Some),

@@ -1,5 +1,6 @@
 //! Loads policies: from checkpoints, from exported files, and the shipped one.
 
+use proto::Valid;
 use std::path::{Path, PathBuf};
 
 use evaluator::Policy;
@@ -120,11 +121,10 @@ impl Source {
     ///
     /// # Errors
     /// When an override is wrong or the result is not valid.
-    pub(super) fn config(&self, overrides: &[Override]) -> Result<Config, Failure> {
+    pub(super) fn config(&self, overrides: &[Override]) -> Result<Valid<Config>, Failure> {
         let (text, origin) = &self.config;
-        let config = Config { policy: self.model.policy.clone(), ..merge(text, origin, Base::Defaults, overrides)? };
-        config.validate()?;
-        Ok(config)
+        let config = merge(text, origin, Base::Defaults, overrides)?;
+        Ok(Config { policy: evaluator::PolicyConfig::clone(&self.model.policy), ..config }.checked()?)
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
 use dashboard::{About, Farewell, Kind};
 use evaluator::{EvaluatorSetup, Listeners, Stop};
-use proto::Weights;
+use proto::{Valid, Weights};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
@@ -48,7 +48,7 @@ impl Program {
 ///
 /// # Errors
 /// When the policy cannot be read or a setting is not valid.
-pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> Result<Config, Failure> {
+pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> Result<Valid<Config>, Failure> {
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let mut overrides = vec![
         Override::flag("play", "bus.run", NAME),
@@ -77,7 +77,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
 pub(super) async fn run(
     source: Source,
     program: Program,
-    config: &Config,
+    config: &Valid<Config>,
     args: &PlayArgs,
     terminal: &Terminal,
     shutdown: CancellationToken,
@@ -85,7 +85,7 @@ pub(super) async fn run(
     let catalog = program.catalog.clone();
     let weights = published(source, config, &catalog)?;
     let weights = Arc::new(weights);
-    let page = services::page(config.dashboard.web.as_ref(), terminal).await?.map(|page| services::Opened {
+    let page = services::page(services::web(config), terminal).await?.map(|page| services::Opened {
         page,
         about: about(args, program),
         // So that the first episode does not wait for the bus.
@@ -93,7 +93,7 @@ pub(super) async fn run(
     });
     let run_dir = RunDir::create(args.run_dir.as_deref(), config, None, &Origin::default())?;
     terminal.print(&format!("episodes and videos go to {}; Ctrl-C ends", run_dir.path().display()));
-    let Some(bus) = join_bus(&config.bus, &shutdown).await? else { return Ok(()) };
+    let Some(bus) = join_bus(&config.part(|config| &config.bus), &shutdown).await? else { return Ok(()) };
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
     let (reports, evaluated) = watch::channel(None);

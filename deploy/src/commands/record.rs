@@ -16,7 +16,7 @@ use super::files::write_files;
 use super::goals::{Goals, is_path, tell_choices};
 use super::models::Source;
 use crate::cli::{PerformerArgs, RecordArgs};
-use crate::config::Override;
+use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::{EpisodeCounter, Terminal};
@@ -46,12 +46,13 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let goals = Goals::open_beside(&args.goals.blueprint, checkpoint.as_deref())?;
     let selected = select(&goals, args)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
-    let performer = if *expert { Performer::Expert } else { Performer::Policy(&config.policy, &source.model.weights) };
+    let performer =
+        if *expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
     let acting = if *sampled { ActionMode::Sampled } else { ActionMode::Greedy };
     create(&args.out)?;
     let setup = EvalSetup {
         catalog: goals.catalog(),
-        environment: config.evaluation_environment(),
+        environment: Config::evaluation_environment(&config),
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
             starts: args.start.into(),

@@ -88,7 +88,7 @@ fn policy(args: &RenderArgs) -> Result<Option<Policy>, Failure> {
     let model = Source::read(path)?.model;
     let refused =
         |error: PolicyError| Failure::Checkpoint(anyhow::Error::new(error).context(path.display().to_string()));
-    let mut policy = Policy::new(&model.policy).map_err(refused)?;
+    let mut policy = Policy::new(&model.policy);
     policy.load(&model.weights).map_err(refused)?;
     Ok(Some(policy))
 }

@@ -1,10 +1,12 @@
 //! `router`: routes the messages of all runs whose processes connect to it.
 
 use bus::{BusConfig, BusMode, SecurityConfig};
+use proto::Valid;
 use tokio_util::sync::CancellationToken;
 
 use super::join_bus;
 use crate::cli::RouterArgs;
+use crate::config::ConfigError;
 use crate::exit::Failure;
 use crate::health::Reporter;
 
@@ -17,6 +19,7 @@ pub(super) async fn run(args: &RouterArgs, shutdown: CancellationToken) -> Resul
     let (listen, connect) = (args.listen.clone(), args.connect.clone());
     let security = SecurityConfig { keys: args.keys.folder("router") };
     let config = BusConfig { mode: BusMode::Router, listen, connect, security, ..BusConfig::default() };
+    let config = Valid::new(config).map_err(ConfigError::from)?;
     let health = Reporter::start("router", args.health.health_file.as_deref())?;
     let Some(bus) = join_bus(&config, &shutdown).await? else { return Ok(()) };
     health.joined(&bus);

@@ -1,5 +1,6 @@
 //! `serve`: the web page for finished runs, or a static copy of it.
 
+use proto::Valid;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -48,7 +49,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     }
     let listen = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let web = WebConfig { listen, token: args.token.clone().map(Into::into), ..WebConfig::default() };
-    web.validate().map_err(|error| Failure::Usage(format!("{error} (here: --web and --token)")))?;
+    let web = Valid::new(web).map_err(|error| Failure::Usage(format!("{error} (here: --web and --token)")))?;
     let page = Page::bind(&web).await?;
     terminal.print(&format!("page at http://{}\nCtrl-C ends", page.address()));
     page.show(first, others, shutdown).await?;
@@ -91,11 +92,12 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
         Err(error @ Failure::Weights(_)) => return Err(error),
         read => read.inspect_err(|error| tracing::warn!(%error, "no policy plays for this run")).ok(),
     };
-    let policy = model.as_ref().map_or_else(|| config.policy.clone(), |source| source.model.policy.clone());
+    let policy =
+        model.as_ref().map_or_else(|| config.part(|config| &config.policy), |source| source.model.policy.clone());
     let weights = model.map(|source| Arc::new(source.model.weights));
     let (_, newest) = watch::channel(weights.clone());
     // Without weights, a browser would wait for an episode forever.
-    let stage = weights.is_some().then(|| stage(config.evaluation_environment(), policy.clone(), newest));
+    let stage = weights.is_some().then(|| stage(Config::evaluation_environment(&config), policy.clone(), newest));
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.catalog().clone();
     let blueprints = config.evaluator.selection.blueprints.clone();
@@ -105,13 +107,12 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
 }
 
 /// The configuration that the run saved.
-fn configuration(paths: &RunPaths) -> Result<Config, Failure> {
+fn configuration(paths: &RunPaths) -> Result<Valid<Config>, Failure> {
     check_run(paths.folder())?;
     let path = paths.config();
     let text = read(&path)?;
     let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;
-    config.validate()?;
-    Ok(config)
+    Ok(config.checked()?)
 }
 
 /// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.

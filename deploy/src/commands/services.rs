@@ -12,7 +12,7 @@ use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
-use proto::{ActorId, Role, Weights};
+use proto::{ActorId, Role, Valid, Weights};
 use runlog::{Pass, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -122,7 +122,7 @@ pub(super) async fn run_evaluator(
     terminal.print(&begins(&format!("evaluator `{id}` evaluates weights"), settings));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
-    let opened = page(config.dashboard.web.as_ref(), terminal).await?;
+    let opened = page(web(config), terminal).await?;
     let command = args.run_dir.clone().map(|run_dir| serve::command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };
     let page = opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None });
@@ -143,7 +143,7 @@ pub(super) async fn run_evaluator(
 
 /// Joins the bus for as long as `service` runs; does nothing if `shutdown` comes before a router answers.
 async fn on_bus(
-    config: &Config,
+    config: &Valid<Config>,
     health: &Reporter,
     shutdown: &CancellationToken,
     service: impl AsyncFnOnce(Bus) -> Result<(), Failure>,
@@ -157,8 +157,9 @@ async fn on_bus(
             pause = WAIT_NOTICE;
         }
     };
+    let bus_config = config.part(|config| &config.bus);
     let bus = tokio::select! {
-        bus = join_bus(&config.bus, shutdown) => bus?,
+        bus = join_bus(&bus_config, shutdown) => bus?,
         () = notice => unreachable!("it has no end"),
     };
     let Some(bus) = bus else { return Ok(()) };
@@ -285,20 +286,25 @@ impl Opened {
     }
 }
 
+/// The page that these settings ask for.
+pub(super) fn web(config: &Valid<Config>) -> Option<Valid<WebConfig>> {
+    config.part(|config| &config.dashboard.web).transpose()
+}
+
 /// Binds the page's address, if a page is configured, and prints it.
-pub(super) async fn page(web: Option<&WebConfig>, terminal: &Terminal) -> Result<Option<Page>, Failure> {
+pub(super) async fn page(web: Option<Valid<WebConfig>>, terminal: &Terminal) -> Result<Option<Page>, Failure> {
     let Some(web) = web else { return Ok(None) };
-    let page = Page::bind(web).await?;
+    let page = Page::bind(&web).await?;
     terminal.print(&format!("page at http://{}", page.address()));
     Ok(Some(page))
 }
 
 /// The setup of an actor.
-pub fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
+pub fn actor_setup(config: &Valid<Config>, id: ActorId) -> ActorSetup {
     ActorSetup {
-        config: config.actor.clone(),
-        policy: config.policy.clone(),
-        environment: config.environment.clone(),
+        config: config.part(|config| &config.actor),
+        policy: config.part(|config| &config.policy),
+        environment: config.part(|config| &config.environment),
         id,
         seed: config.seed,
         catalog: Catalog::builtin().clone(),
@@ -306,11 +312,11 @@ pub fn actor_setup(config: &Config, id: ActorId) -> ActorSetup {
 }
 
 /// The setup of an evaluator, which keeps its reports in `run_dir`.
-pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path>) -> EvaluatorSetup {
+pub(super) fn evaluator_setup(config: &Valid<Config>, id: String, run_dir: Option<&Path>) -> EvaluatorSetup {
     EvaluatorSetup {
-        config: config.evaluator.clone(),
-        policy: config.policy.clone(),
-        environment: config.evaluation_environment(),
+        config: config.part(|config| &config.evaluator),
+        policy: config.part(|config| &config.policy),
+        environment: Config::evaluation_environment(config),
         id,
         seed: config.seed,
         records: run_dir.map(RunPaths::new),
@@ -322,14 +328,18 @@ pub(super) fn evaluator_setup(config: &Config, id: String, run_dir: Option<&Path
 ///
 /// # Errors
 /// Before anything is written, if the device, the selection of goals, or the policy cannot be used.
-pub fn learner_setup(config: &Config, init: Option<&Path>, catalog: &Arc<Catalog>) -> Result<LearnerSetup, Failure> {
+pub fn learner_setup(
+    config: &Valid<Config>,
+    init: Option<&Path>,
+    catalog: &Arc<Catalog>,
+) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
     let unusable = |error| invalid("actor.tasks.filter", error);
     let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;
     let generated = config.actor.tasks.draws(catalog).map_err(unusable)?;
     Ok(LearnerSetup {
-        config: config.learner.clone(),
-        policy: config.policy.clone(),
+        config: config.part(|config| &config.learner),
+        policy: config.part(|config| &config.policy),
         catalog: catalog.clone(),
         tasks,
         generated,

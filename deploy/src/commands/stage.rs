@@ -4,13 +4,13 @@ use std::sync::Arc;
 
 use dashboard::{Builder, Order, Stage, StageError};
 use evaluator::{EnvironmentConfig, EvalError, Performance, Performer, PolicyConfig, perform};
-use proto::Weights;
+use proto::{Valid, Weights};
 use tokio::sync::watch;
 
 /// Runs episodes in worlds with this configuration; a policy acts with the newest of `weights`.
 pub(super) fn stage(
-    environment: EnvironmentConfig,
-    policy: PolicyConfig,
+    environment: Valid<EnvironmentConfig>,
+    policy: Valid<PolicyConfig>,
     weights: watch::Receiver<Option<Arc<Weights>>>,
 ) -> Stage {
     Stage::new(move |order: &Order, keep_going| {

@@ -5,13 +5,12 @@ use std::time::Instant;
 
 use actor::ActorSetup;
 use blueprints::outside::as_text;
-use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
 use learner::{Arrivals, Source};
-use proto::ActorId;
 use proto::keys::Role;
 use proto::metrics::EvalSummary;
+use proto::{ActorId, Valid};
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
@@ -72,7 +71,7 @@ pub(super) async fn run(
     let page = page.map(|page| services::Opened { page, about, first: None });
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
-    let joined = join_bus(&config.bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
+    let joined = join_bus(&config.part(|config| &config.bus), &shutdown).await.inspect_err(|_| run_dir.abandon())?;
     let Some(bus) = joined else {
         run_dir.abandon();
         return Err(Failure::NothingWritten(run_dir.path().to_owned()));
@@ -159,14 +158,14 @@ pub(super) async fn run(
 }
 
 /// Serves the page at the configured address, or else on a free port, where a failure is only logged.
-async fn page(config: &Config, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
+async fn page(config: &Valid<Config>, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
     if args.no_web {
         return Ok(None);
     }
-    if config.dashboard.web.is_some() {
-        return services::page(config.dashboard.web.as_ref(), terminal).await;
+    if let Some(web) = services::web(config) {
+        return services::page(Some(web), terminal).await;
     }
-    let page = services::page(Some(&WebConfig::default()), terminal).await;
+    let page = services::page(Some(Valid::default()), terminal).await;
     Ok(page.unwrap_or_else(|error| {
         tracing::warn!(%error, "training without a page");
         None

@@ -1,5 +1,6 @@
 //! `watch`: joins a run to monitor it.
 
+use proto::Valid;
 use std::io::{self, Write};
 use std::time::Duration;
 
@@ -23,7 +24,7 @@ pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: Cancell
     let (run, connect) = (args.run.clone(), args.connect.clone());
     let security = SecurityConfig { keys: args.keys.folder("viewer") };
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
-    config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
+    let config = Valid::new(config).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
         let format = if args.json { Format::Json } else { Format::Text };
         let notice = async {

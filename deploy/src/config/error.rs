@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use proto::InvalidSetting;
+
 /// A configuration that cannot be used. The message names what is wrong and what would be valid.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -63,6 +65,12 @@ pub enum ConfigError {
         /// The field, its value, and the valid range.
         message: String,
     },
+}
+
+impl From<InvalidSetting> for ConfigError {
+    fn from(error: InvalidSetting) -> Self {
+        Self::Invalid { origin: "configuration".to_owned(), message: error.to_string() }
+    }
 }
 
 /// The suggestion appended to a message, or nothing.

@@ -17,8 +17,8 @@ use bus::BusConfig;
 use dashboard::DashboardConfig;
 use evaluator::EvaluatorConfig;
 use learner::{ActingLimits, DeviceKind, LearnerConfig};
-use proto::setting::Section;
-use proto::{CanonicalSettings, settings};
+use proto::setting::key;
+use proto::{CanonicalSettings, InvalidSetting, Valid, settings};
 
 pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
@@ -43,7 +43,7 @@ pub(crate) const MAX_SEED: u64 = i64::MAX as u64;
 
 settings! {
     /// Everything that determines a run, except endpoints and folders on the machine.
-    pub struct Config {
+    pub struct Config in "", check grippers {
         /// In a file: the preset that the file's keys override, or `none` for the plain defaults. Without it, a file
         /// given with `--config` overrides `--preset`, by default `quickstart`, and a preset overrides the defaults.
         #[serde(skip_serializing)]
@@ -57,7 +57,7 @@ settings! {
         /// Whether `train` alternates between stepping worlds and learning, so that equal seeds produce equal bytes.
         pub lockstep: bool = false;
         /// How the processes of a run find each other.
-        pub bus: BusConfig = BusConfig::default();
+        pub bus: BusConfig;
         /// The simulated world.
         pub environment: EnvironmentConfig;
         /// Features, network, and action distribution.
@@ -67,9 +67,9 @@ settings! {
         /// Training.
         pub learner: LearnerConfig;
         /// Evaluation.
-        pub evaluator: EvaluatorConfig = EvaluatorConfig::default();
+        pub evaluator: EvaluatorConfig;
         /// Where a run is shown.
-        pub dashboard: DashboardConfig = DashboardConfig::default();
+        pub dashboard: DashboardConfig;
     }
 }
 
@@ -102,13 +102,14 @@ impl Config {
     ///
     /// # Errors
     /// Names the section and field, the value, and the valid range.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        self.check().map_err(|message| ConfigError::Invalid { origin: "configuration".to_owned(), message })
+    pub fn checked(self) -> Result<Valid<Self>, ConfigError> {
+        Ok(Valid::new(self)?)
     }
 
     /// The world in which policies are evaluated and shown.
-    pub fn evaluation_environment(&self) -> EnvironmentConfig {
-        if self.evaluator.episodes.randomization { self.environment.clone() } else { self.environment.nominal() }
+    pub fn evaluation_environment(config: &Valid<Self>) -> Valid<EnvironmentConfig> {
+        let environment = config.part(|config| &config.environment);
+        if config.evaluator.episodes.randomization { environment } else { EnvironmentConfig::nominal(&environment) }
     }
 
     /// The settings that determine what a trajectory means, which all members of a run must have.
@@ -127,17 +128,10 @@ impl Config {
         }
     }
 
-    fn check(&self) -> Result<(), String> {
-        self.validate_at("").map_err(|error| error.to_string())?;
-        // These sections have checks beyond ranges.
-        self.bus.validate().map_err(|error| error.to_string())?;
-        self.evaluator.validate().map_err(|error| error.to_string())?;
-        self.dashboard.validate().map_err(|error| error.to_string())?;
+    fn grippers(&self, path: &str) -> Result<(), InvalidSetting> {
         let (worlds, policy) = (self.environment.n_grippers, self.policy.features.n_grippers);
-        if worlds != policy {
-            return Err(format!("environment.n_grippers = {worlds}: expected {policy}, as policy.features.n_grippers"));
-        }
-        Ok(())
+        let expected = format_args!("{policy}, as policy.features.n_grippers");
+        InvalidSetting::check(key(path, "environment.n_grippers"), worlds, worlds == policy, expected)
     }
 }
 
@@ -167,13 +161,13 @@ mod tests {
             let text = format!(
                 "[environment.magnets]\nsnap_gap_m = 0.02\n[environment.randomization]\nfriction = [0.5, 2.0]\n{more}"
             );
-            Config::parse(&text, "file").unwrap()
+            Config::parse(&text, "file").unwrap().checked().unwrap()
         };
         let config = parse("");
-        let evaluated = config.evaluation_environment();
+        let evaluated = Config::evaluation_environment(&config);
         assert_eq!((evaluated.randomization.friction, evaluated.magnets.snap_gap_m), (None, 0.02));
-        let drawn = parse("[evaluator.episodes]\nrandomization = true").evaluation_environment();
-        assert_eq!(drawn, config.environment);
+        let drawn = Config::evaluation_environment(&parse("[evaluator.episodes]\nrandomization = true"));
+        assert_eq!(*drawn, config.environment);
     }
 
     #[test]

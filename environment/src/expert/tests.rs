@@ -1,7 +1,7 @@
 //! The expert builds, takes apart, and decides consistently.
 
 use blueprints::{BlueprintId, Catalog};
-use proto::{Start, Status, Task};
+use proto::{Start, Status, Task, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -13,8 +13,8 @@ fn id(text: &str) -> BlueprintId {
 }
 
 /// Returns a world at the start of an episode and the expert for its goal.
-fn begin(config: &EnvironmentConfig, goal: &str, start: Start, seed: u64) -> (World, Expert) {
-    let mut world = World::new(config).unwrap();
+fn begin(config: &Valid<EnvironmentConfig>, goal: &str, start: Start, seed: u64) -> (World, Expert) {
+    let mut world = World::new(config);
     let assignment = sample_assignment(&mut ChaCha8Rng::seed_from_u64(seed));
     world.reset(&Task { blueprint: id(goal), assignment, start, seed }, Catalog::builtin()).unwrap();
     let expert = Expert::new(config, world.blueprint()).unwrap();
@@ -32,8 +32,8 @@ fn finish(world: &mut World, expert: &mut Expert) -> bool {
     }
 }
 
-fn two_grippers() -> EnvironmentConfig {
-    EnvironmentConfig::default()
+fn two_grippers() -> Valid<EnvironmentConfig> {
+    Valid::default()
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn it_builds_from_scattered_and_from_prebuilt_starts() {
 
 #[test]
 fn one_gripper_builds_and_takes_down_what_stands() {
-    let config = EnvironmentConfig { n_grippers: 1, ..EnvironmentConfig::default() };
+    let config = Valid::new(EnvironmentConfig { n_grippers: 1, ..EnvironmentConfig::default() }).unwrap();
     let mut n_built = 0;
     for (goal, start) in [
         ("2_000", Start::Scattered),

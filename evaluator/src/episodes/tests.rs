@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use blueprints::{Catalog, Split};
 use environment::EnvironmentConfig;
 use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig, PolicyError};
-use proto::{ActionMode, Normalization, WeightsVersion};
+use proto::{ActionMode, Normalization, Valid, WeightsVersion};
 
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig};
@@ -14,18 +14,18 @@ use crate::setup::N_WORLDS;
 use crate::videos::EpisodeSelector;
 
 /// A network small enough for tests.
-pub(crate) fn small_policy() -> PolicyConfig {
+pub(crate) fn small_policy() -> Valid<PolicyConfig> {
     let encoder =
         EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
     let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
-    PolicyConfig { network, ..Default::default() }
+    Valid::new(PolicyConfig { network, ..Default::default() }).unwrap()
 }
 
 /// A setup with short episodes.
 pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
     EvalSetup {
         catalog: Catalog::builtin(),
-        environment: EnvironmentConfig { episode_steps: 8, ..Default::default() },
+        environment: Valid::new(EnvironmentConfig { episode_steps: 8, ..Default::default() }).unwrap(),
         episodes,
         reset_free: None,
         n_worlds: N_WORLDS,

@@ -1,9 +1,9 @@
 //! The expert on real worlds: its success, its failures, and their causes.
 
+use proto::Valid;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use blueprints::Catalog;
-use environment::EnvironmentConfig;
 
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig, Starts};
@@ -12,7 +12,7 @@ use crate::setup::N_WORLDS;
 fn setup() -> EvalSetup<'static> {
     EvalSetup {
         catalog: Catalog::builtin(),
-        environment: EnvironmentConfig::default(),
+        environment: Valid::default(),
         episodes: EpisodeConfig { n_episodes: 5, starts: Starts::Mixed, n_threads: 2, ..Default::default() },
         reset_free: None,
         n_worlds: N_WORLDS,
@@ -48,7 +48,7 @@ fn a_report_does_not_depend_on_the_threads() {
 fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
     let mut setup = setup();
     (setup.episodes.n_episodes, setup.episodes.starts) = (1, Starts::Scattered);
-    setup.environment.episode_steps = 5;
+    setup.environment = setup.environment.with(|environment| environment.episode_steps = 5).unwrap();
     let goal = Catalog::builtin().get(&"16_000".parse().unwrap()).unwrap();
     let report = evaluate_expert(&setup, &[goal], &|| true).unwrap();
     let [failure] = &report.failures[..] else { panic!("{:?}", report.failures) };

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use blueprints::{Catalog, Split};
 use proto::metrics::EvalSummary;
-use proto::{RewardTerms, Start};
+use proto::{RewardTerms, Start, Valid};
 
 use super::*;
 use crate::config::{EvaluatorConfig, Every, ResetFreeConfig, Selection};
@@ -27,7 +27,8 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let n_selected = selection.select(Catalog::builtin()).unwrap().len();
     let records = RunPaths::new(dir.path());
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(2), selection, episodes, ..Default::default() },
+        config: Valid::new(EvaluatorConfig { every: Every::Versions(2), selection, episodes, ..Default::default() })
+            .unwrap(),
         policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -104,7 +105,8 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     // 45 blueprints: parts of 32 and 45 episodes.
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
     let setup = EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() },
+        config: Valid::new(EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() })
+            .unwrap(),
         policy: small_policy(),
         environment: small.environment.clone(),
         id: "judge".to_owned(),
@@ -148,6 +150,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     let selection = Selection { splits: vec![Split::Train], blueprints, ..Default::default() };
     let last_splits = vec![Split::Validation];
     let config = EvaluatorConfig { every: Every::Versions(1), selection, last_splits, episodes, ..Default::default() };
+    let config = Valid::new(config).unwrap();
     let setup = EvaluatorSetup {
         config,
         policy: small_policy(),
@@ -277,7 +280,7 @@ async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluate
         let (_tell, last) = watch::channel(Some(Arc::new(weights())));
         let stop = Stop { last: Some(last), ..Stop::default() };
         let mut setup = one_goal(n_episodes, Some(records.clone()));
-        setup.config.reset_free = reset_free;
+        setup.config = setup.config.with(|config| config.reset_free = reset_free).unwrap();
         let summary = within(run(setup, &bus, Listeners::default(), stop)).await.unwrap();
         assert_eq!(summary, Summary { n_evaluations: expected }, "case {k}");
         bus.close().await;
@@ -292,7 +295,8 @@ fn one_goal(n_episodes: u32, records: Option<RunPaths>) -> EvaluatorSetup {
     let selection =
         Selection { splits: vec![Split::Train], blueprints: vec!["2_000".parse().unwrap()], ..Default::default() };
     EvaluatorSetup {
-        config: EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() },
+        config: Valid::new(EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() })
+            .unwrap(),
         policy: small_policy(),
         environment,
         id: "judge".to_owned(),

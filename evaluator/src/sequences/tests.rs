@@ -1,7 +1,7 @@
 //! Sequences of toy worlds whose endings are scripted.
 
-use policy::{Policy, PolicyConfig};
-use proto::{Gripper, Pose};
+use policy::Policy;
+use proto::{Gripper, Pose, Valid};
 
 use super::*;
 use crate::videos::EpisodeSelector;
@@ -65,7 +65,7 @@ fn run(
     sequences: &[Vec<EpisodeSpec>],
     keep_going: bool,
 ) -> Result<Vec<Vec<EpisodeResult>>, EvalError> {
-    let mut policy = Policy::new(&PolicyConfig::default()).unwrap();
+    let mut policy = Policy::new(&Valid::default());
     let rules: Rules<'_, EpisodeSelector> = Rules {
         catalog: Catalog::builtin(),
         acting: ActionMode::Sampled,

@@ -13,8 +13,8 @@ use std::time::Duration;
 
 use anyhow::Context;
 use bus::{Bus, BusConfig};
-use proto::Trajectory;
 use proto::codec::encode_trajectory;
+use proto::{Trajectory, Valid};
 use serde::{Deserialize, Serialize};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
@@ -78,7 +78,7 @@ impl Load {
         let mut shortfall = None;
         for number in plan.first_actor..plan.first_actor + plan.n_actors {
             let joining = async {
-                let member = Member::join(number, Bus::open(&plan.bus).await?).await?;
+                let member = Member::join(number, Bus::open(&Valid::new(plan.bus.clone())?).await?).await?;
                 member.first_weights().await?;
                 Ok(member)
             };

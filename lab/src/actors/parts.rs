@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use blueprints::{Catalog, outside};
-use bus::{Bus, BusConfig, BusError};
+use bus::{Bus, BusConfig};
 use deploy::commands::learner_setup;
 use deploy::config::{Base, merge};
 use deploy::exit::Failure;
 use learner::Learner;
-use proto::Trajectory;
 use proto::codec::{MAX_RECORDING_BYTES, decode_recording};
+use proto::{Trajectory, Valid};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc;
@@ -77,7 +77,7 @@ pub(crate) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
 pub(crate) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let plan: IngestPlan = orders.plan().await?;
-    let config = merge(&plan.config, "the plan", Base::Defaults, &[])?;
+    let config = merge(&plan.config, "the plan", Base::Defaults, &[])?.checked()?;
     let learner = Learner::new(learner_setup(&config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?;
     let Some(bus) = orders.join(&plan.bus).await? else { return Ok(()) };
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;
@@ -161,10 +161,11 @@ impl Orders {
     }
 
     /// Joins the bus; `None` if the process shall end before a router answers.
-    async fn join(&self, config: &BusConfig) -> Result<Option<Bus>, BusError> {
+    async fn join(&self, config: &BusConfig) -> anyhow::Result<Option<Bus>> {
+        let config = Valid::new(config.clone())?;
         tokio::select! {
             () = self.gone.cancelled() => Ok(None),
-            bus = Bus::open(config) => bus.map(Some),
+            bus = Bus::open(&config) => Ok(Some(bus?)),
         }
     }
 

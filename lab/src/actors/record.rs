@@ -10,7 +10,7 @@ use deploy::commands::{actor_setup, learner_setup};
 use deploy::config::Config;
 use learner::Learner;
 use proto::codec::encode_recording;
-use proto::{ActorId, Trajectory};
+use proto::{ActorId, Trajectory, Valid};
 
 /// Segments to record; more would hardly change their mean size.
 const N_SEGMENTS: usize = 16;
@@ -37,11 +37,14 @@ pub(super) struct Recording {
 ///
 /// # Errors
 /// When the configuration cannot be used or the folder cannot be written.
-pub(super) fn record(config: &Config, folder: &Path) -> anyhow::Result<Recording> {
+pub(super) fn record(config: &Valid<Config>, folder: &Path) -> anyhow::Result<Recording> {
     let weights = Learner::new(learner_setup(config, None, Catalog::builtin())?)?.weights();
     let id = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;
     let mut setup = actor_setup(config, id);
-    (setup.config.n_worlds, setup.config.n_threads) = (N_WORLDS, 1);
+    setup.config = setup.config.with(|actor| {
+        actor.n_worlds = N_WORLDS;
+        actor.n_threads = 1;
+    })?;
     let mut worlds = Lockstep::new(setup);
     let mut segments = Vec::new();
     while segments.len() < N_SEGMENTS {

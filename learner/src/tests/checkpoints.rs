@@ -53,9 +53,9 @@ fn resumed_learner_continues_bit_for_bit() {
 fn resumed_learner_takes_another_fixed_rate() {
     let dir = tempfile::tempdir().unwrap();
     let mut setup = small_setup(4);
-    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+    setup.config = setup.config.with(|c| c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {})).unwrap();
     let path = Learner::new(setup.clone()).unwrap().save(dir.path()).unwrap();
-    setup.config.optimizer.learning_rate = 1e-4;
+    setup.config = setup.config.with(|c| c.optimizer.learning_rate = 1e-4).unwrap();
     let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
     feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5)));
     assert_eq!(resumed.update_from_mailbox().unwrap().ppo.learning_rate, f64::from(1e-4_f32));
@@ -69,8 +69,11 @@ fn resumed_learner_takes_another_adaptive_rate_or_other_bounds() {
     assert_ne!(adapted, setup.config.optimizer.learning_rate);
     let resumed = |learning_rate, max, mut checkpoint: Checkpoint| {
         let mut setup = setup.clone();
-        setup.config.optimizer.learning_rate = learning_rate;
-        setup.config.optimizer.lr_schedule = LrSchedule::Adaptive(AdaptiveRate { max, ..Default::default() });
+        setup.config = setup.config.with(|c| c.optimizer.learning_rate = learning_rate).unwrap();
+        setup.config = setup
+            .config
+            .with(|c| c.optimizer.lr_schedule = LrSchedule::Adaptive(AdaptiveRate { max, ..Default::default() }))
+            .unwrap();
         checkpoint = Learner::resume(setup, checkpoint).unwrap().checkpoint();
         (checkpoint.state.learning_rate.0, checkpoint)
     };
@@ -225,7 +228,7 @@ fn leftovers_of_a_killed_process_are_cleaned_up() {
 fn checkpoint_of_another_network_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let (mut setup, learner, _) = saved(dir.path(), 1);
-    setup.policy.network.width = 32;
+    setup.policy = setup.policy.with(|c| c.network.width = 32).unwrap();
     let error = Learner::resume(setup, learner.checkpoint()).unwrap_err();
     assert!(matches!(error, LearnerError::Checkpoint(CheckpointError::Mismatch(_))), "{error}");
     let empty = dir.path().join("nothing");
@@ -240,7 +243,7 @@ fn model_round_trips_and_a_damaged_file_is_refused() {
     assert_eq!(bytes, model.to_bytes().unwrap(), "the same bytes every time");
     let path = Path::new("somewhere/model.safetensors");
     assert_eq!(Model::from_bytes(&bytes, path).unwrap(), model);
-    policy::Policy::new(&model.policy).unwrap().load(&model.weights).unwrap();
+    policy::Policy::new(&model.policy).load(&model.weights).unwrap();
     // From what is published, with a verdict.
     let published = Model::new(&checkpoint.model, &checkpoint.weights());
     assert_eq!(published, model);

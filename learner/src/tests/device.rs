@@ -12,9 +12,14 @@ use crate::{Learner, LearnerSetup};
 fn setup(move_head: MoveHead) -> LearnerSetup {
     let mut setup = small_setup(1);
     setup.policy = PolicyConfig { network: NetworkConfig { move_head, ..Default::default() }, ..Default::default() };
-    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-    setup.config.n_epochs = 1;
-    setup.config.minibatch_size = 256;
+    setup.config = setup
+        .config
+        .with(|c| {
+            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+            c.n_epochs = 1;
+        })
+        .unwrap();
+    setup.config = setup.config.with(|c| c.minibatch_size = 256).unwrap();
     setup
 }
 

@@ -6,7 +6,9 @@ use blueprints::Catalog;
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{NetworkConfig, Policy, PolicyConfig};
-use proto::{ActionMode, Agent, BehaviorPolicy, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Weights};
+use proto::{
+    ActionMode, Agent, BehaviorPolicy, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Valid, Weights,
+};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -22,8 +24,8 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
     let network = NetworkConfig { encoder, width: 16, value_hidden: vec![32], ..NetworkConfig::default() };
     let config = LearnerConfig { batch_size: 256, minibatch_size: 64, ..LearnerConfig::default() };
     LearnerSetup {
-        config,
-        policy: PolicyConfig { network, ..PolicyConfig::default() },
+        config: Valid::new(config).unwrap(),
+        policy: Valid::new(PolicyConfig { network, ..PolicyConfig::default() }).unwrap(),
         catalog: Catalog::builtin().clone(),
         tasks: vec![blueprint_id()],
         generated: None,
@@ -38,7 +40,7 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
 /// Returns one-step episodes in random scenes with actions from `weights`; the reward is 1 if gripper 0 chooses a goal
 /// block.
 pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
-    let mut policy = Policy::new(&setup.policy).unwrap();
+    let mut policy = Policy::new(&setup.policy);
     policy.load(weights).unwrap();
     let mut trajectories: Vec<_> = (0..n).map(|_| random_trajectory(1, weights.version.0, rng)).collect();
     let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
@@ -69,8 +71,13 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
 #[test]
 fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
-    setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+    setup.config = setup
+        .config
+        .with(|c| {
+            c.optimizer.learning_rate = 3e-3;
+            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+        })
+        .unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut rates = Vec::new();
@@ -119,8 +126,12 @@ fn weights_are_independent_of_the_number_of_threads() {
     let weights = |n_threads| {
         let mut setup = small_setup(1);
         // Four pieces per minibatch, which three threads cannot share evenly.
-        (setup.config.batch_size, setup.config.minibatch_size) = (4 * PIECE_SIZE, 4 * PIECE_SIZE);
-        setup.config.n_threads = Some(n_threads);
+        setup.config = setup
+            .config
+            .with(|c| {
+                (c.batch_size, c.minibatch_size, c.n_threads) = (4 * PIECE_SIZE, 4 * PIECE_SIZE, Some(n_threads));
+            })
+            .unwrap();
         let mut learner = Learner::new(setup.clone()).unwrap();
         let trajectories = bandit(&setup, &learner.weights(), 4 * PIECE_SIZE, &mut ChaCha8Rng::seed_from_u64(3));
         feed(&learner, trajectories);
@@ -133,8 +144,13 @@ fn weights_are_independent_of_the_number_of_threads() {
 #[test]
 fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     let mut setup = small_setup(1);
-    setup.config.optimizer.learning_rate = 3e-3;
-    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+    setup.config = setup
+        .config
+        .with(|c| {
+            c.optimizer.learning_rate = 3e-3;
+            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+        })
+        .unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();
@@ -151,7 +167,7 @@ fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
 #[test]
 fn gradient_step_that_is_not_finite_is_skipped() {
     let mut setup = small_setup(1);
-    setup.config.loss.objective = Objective::Standard;
+    setup.config = setup.config.with(|c| c.loss.objective = Objective::Standard).unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
     // The lowest admitted log-density makes the ratio overflow.
@@ -165,7 +181,7 @@ fn gradient_step_that_is_not_finite_is_skipped() {
 #[test]
 fn ppo_uses_only_sampled_actions() {
     let mut setup = small_setup(3);
-    setup.config.n_epochs = 3;
+    setup.config = setup.config.with(|c| c.n_epochs = 3).unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
@@ -187,14 +203,14 @@ fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_net
     learner.update_from_mailbox().unwrap();
     let model = Model::from(&learner.checkpoint());
     let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
-    setup.policy.network.init_std = Some(0.1);
+    setup.policy = setup.policy.with(|c| c.network.init_std = Some(0.1)).unwrap();
     let started = Learner::new(setup.clone()).unwrap();
     assert_eq!(started.weights().parameters, learner.weights().parameters);
     assert_eq!(started.weights().normalization, learner.weights().normalization);
     assert_eq!((started.version().0, started.n_env_steps()), (0, 0));
     assert!(started.checkpoint().adam.first.iter().all(|moment| *moment == 0.0));
     let mut other = setup.clone();
-    other.policy.network.value_hidden = vec![16];
+    other.policy = other.policy.with(|c| c.network.value_hidden = vec![16]).unwrap();
     let error = Learner::new(other).unwrap_err().to_string();
     assert!(error.contains("policy.network"), "{error}");
     let mut broken = Model::from(&learner.checkpoint());
@@ -209,8 +225,13 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
     // The first step overflows the network's outputs, or the parameters themselves.
     for learning_rate in [1e5, 1e38] {
         let mut setup = small_setup(1);
-        setup.config.optimizer.learning_rate = learning_rate;
-        setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+        setup.config = setup
+            .config
+            .with(|c| {
+                c.optimizer.learning_rate = learning_rate;
+                c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+            })
+            .unwrap();
         let mut learner = Learner::new(setup.clone()).unwrap();
         let first = learner.weights();
         let mut rng = ChaCha8Rng::seed_from_u64(2);
@@ -225,7 +246,7 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
         let checkpoint = learner.checkpoint();
         assert_eq!((checkpoint.adam.n_steps, checkpoint.state.values), (0, Default::default()));
         // With a rate that it can learn with, it goes on from there.
-        setup.config.optimizer.learning_rate = 3e-4;
+        setup.config = setup.config.with(|c| c.optimizer.learning_rate = 3e-4).unwrap();
         let mut resumed = Learner::resume(setup.clone(), checkpoint).unwrap();
         feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut rng));
         assert_eq!(resumed.update_from_mailbox().unwrap().refused, None);
@@ -235,7 +256,7 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
 #[test]
 fn an_adaptive_rate_shrinks_when_an_update_is_taken_back() {
     let mut setup = small_setup(1);
-    setup.config.optimizer.learning_rate = 1e5;
+    setup.config = setup.config.with(|c| c.optimizer.learning_rate = 1e5).unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
     assert!(learner.update_from_mailbox().unwrap().refused.is_some());

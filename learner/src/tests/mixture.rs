@@ -17,15 +17,20 @@ use crate::{Learner, LearnerSetup, Model};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
     let mut setup = small_setup(seed);
-    setup.policy.network.move_head = MoveHead::Mixture;
+    setup.policy = setup.policy.with(|c| c.network.move_head = MoveHead::Mixture).unwrap();
     setup
 }
 
 #[test]
 fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
     let mut setup = mixture_setup(1);
-    setup.config.optimizer.learning_rate = 1e-2;
-    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+    setup.config = setup
+        .config
+        .with(|c| {
+            c.optimizer.learning_rate = 1e-2;
+            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+        })
+        .unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let is_join = |slot: u8| Slot::from_index(slot).unwrap().kind() == Kind::Join;
@@ -54,7 +59,7 @@ fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
 fn an_update_tells_what_was_drawn_and_what_came_of_it() {
     let mut setup = mixture_setup(1);
     // One gradient step, whose losses are those before it.
-    (setup.config.minibatch_size, setup.config.n_epochs) = (256, 1);
+    setup.config = setup.config.with(|c| (c.minibatch_size, c.n_epochs) = (256, 1)).unwrap();
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2));
     let mut counts = BTreeMap::new();
@@ -159,7 +164,7 @@ fn nobody_acts_with_a_file_whose_parameters_are_of_another_head() {
         (mixture_setup(1), MoveHead::Gaussian, mixture, gaussian),
     ] {
         let mut model = Model::from(&Learner::new(theirs).unwrap().checkpoint());
-        model.policy.network.move_head = claimed;
+        model.policy = model.policy.with(|policy| policy.network.move_head = claimed).unwrap();
         let read = Model::from_bytes(&model.to_bytes().unwrap(), Path::new("policy.safetensors")).unwrap();
         let error = policy::Policy::with_weights(&read.policy, &read.weights).unwrap_err();
         let error = format!("{error}: {}", std::error::Error::source(&error).unwrap());

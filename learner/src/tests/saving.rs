@@ -42,7 +42,7 @@ impl Running {
         let paths = RunPaths::new(dir.path().join("run"));
         let metrics = bus.metrics_subscriber(keys::METRICS_LEARNER).await.unwrap();
         let mut setup = small_setup(8);
-        setup.config.checkpoints.every_updates = every_updates;
+        setup.config = setup.config.with(|c| c.checkpoints.every_updates = every_updates).unwrap();
         let n_fed = Arc::new(AtomicU64::new(0));
         let feed = {
             let (setup, paths, n_fed) = (setup.clone(), paths.clone(), n_fed.clone());

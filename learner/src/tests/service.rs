@@ -168,9 +168,14 @@ async fn training_that_diverges_stops_and_keeps_usable_weights() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let run_dir = RunPaths::new(dir.path().join("run"));
     let mut setup = small_setup(5);
-    setup.config.optimizer.learning_rate = 1e5;
-    setup.config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-    setup.config.checkpoints.every_updates = 1;
+    setup.config = setup
+        .config
+        .with(|c| {
+            c.optimizer.learning_rate = 1e5;
+            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+        })
+        .unwrap();
+    setup.config = setup.config.with(|c| c.checkpoints.every_updates = 1).unwrap();
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(1));
     let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 256, &mut rng)));
     let options = RunOptions { source, ..options(setup.clone(), &run_dir) };

@@ -3,7 +3,7 @@
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use proto::{
     Action, ActorId, Gripper, Observation, Outcome, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
-    Transition, WeightsVersion,
+    Transition, Valid, WeightsVersion,
 };
 
 use super::*;
@@ -219,7 +219,8 @@ fn policy(n_grippers: u8, attention: bool) -> policy::Policy {
     let encoder = policy::EncoderConfig::Gat(gat);
     let network = policy::NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
     let features = policy::FeatureConfig { n_grippers, ..Default::default() };
-    policy::Policy::new(&policy::PolicyConfig { network, features, ..Default::default() }).unwrap()
+    let config = policy::PolicyConfig { network, features, ..Default::default() };
+    policy::Policy::new(&Valid::new(config).unwrap())
 }
 
 #[test]

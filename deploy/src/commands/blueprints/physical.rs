@@ -1,8 +1,8 @@
 //! The checks of a blueprint that need a simulated world.
 
 use blueprints::checks::{Check, CheckResult, Outcome, Report};
-use evaluator::EnvironmentConfig;
 use evaluator::trials::{MAX_DRIFT_M, MAX_TURN_RAD, settle, try_building};
+use proto::Valid;
 
 use crate::exit::Failure;
 
@@ -11,7 +11,7 @@ use crate::exit::Failure;
 /// # Errors
 /// When the world has no room for the blocks.
 pub(super) fn check(report: &mut Report) -> Result<(), Failure> {
-    let environment = EnvironmentConfig::default();
+    let environment = Valid::default();
     let [settles, expert] = match &report.blueprint {
         Err(_) => [Outcome::Skipped, Outcome::Skipped],
         Ok(blueprint) => {

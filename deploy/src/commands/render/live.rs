@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use bus::{Bus, BusConfig, BusMode, SecurityConfig, TrajectoryViewer};
-use proto::Trajectory;
+use proto::{Trajectory, Valid};
 use render::video::{Collector, Episode};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
@@ -28,7 +28,7 @@ pub(in crate::commands) async fn run(
     let (run, connect) = (args.live.run.clone(), args.live.connect.clone());
     let security = SecurityConfig { keys: args.live.keys.folder("evaluator") };
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
-    config.validate().map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
+    let config = Valid::new(config).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     let patience = Duration::from_secs(args.live.timeout);
     let Ok(opened) = timeout(patience, join_bus(&config, &shutdown)).await else {
         let (endpoints, seconds) = (config.connect.join(", "), args.live.timeout);
@@ -66,7 +66,7 @@ async fn record(
     bus: &Bus,
     args: &LiveArgs,
     goals: &Goals,
-    config: &BusConfig,
+    config: &Valid<BusConfig>,
     patience: Duration,
     shutdown: &CancellationToken,
 ) -> (Vec<Vec<Trajectory>>, Result<(), Failure>) {
@@ -97,7 +97,7 @@ async fn record(
 }
 
 /// Explains why no episode arrived.
-async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &BusConfig) -> Failure {
+async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &Valid<BusConfig>) -> Failure {
     let who = args.actor.as_ref().map_or_else(|| "any actor".to_owned(), |actor| format!("the actor {actor}"));
     let (seconds, run, counts) = (args.timeout, &args.run, bus.counts());
     let n_missed = counts.viewed_dropped_total + counts.viewed_invalid_total;

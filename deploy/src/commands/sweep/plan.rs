@@ -198,11 +198,11 @@ fn planned(settings: axes::Point, args: &SweepArgs) -> Result<PlannedPoint, Fail
             _ => of_point.set.push(format!("{key}={value}")),
         }
     }
-    let config = of_point.load(None, flags(args))?.config;
-    let point = PlannedPoint { settings, config: config.to_toml() };
+    let mut point = PlannedPoint { settings, config: String::new() };
     let named = |error: Failure| Failure::Usage(format!("point {}: {error}", point.name()));
-    config.validate().map_err(|error| named(error.into()))?;
+    let config = of_point.load(None, flags(args)).map_err(|error| named(error.into()))?.config;
     services::check_evaluator(&config, Catalog::builtin()).map_err(named)?;
+    point.config = config.to_toml();
     Ok(point)
 }
 

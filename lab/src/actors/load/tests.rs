@@ -124,7 +124,12 @@ async fn both_ends_count_the_same_segments() {
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(weights(3)).await.unwrap();
 
-    let plan = LoadPlan { bus: BusConfig::isolated_client(dir.path()), first_actor: 10, n_actors: 3, steps_per_s: 0.0 };
+    let plan = LoadPlan {
+        bus: BusConfig::clone(&BusConfig::isolated_client(dir.path())),
+        first_actor: 10,
+        n_actors: 3,
+        steps_per_s: 0.0,
+    };
     let load = Load::open(plan).await.unwrap();
     assert_eq!((load.n_actors(), load.shortfall()), (3, None));
     let stop = CancellationToken::new();
