@@ -9,7 +9,7 @@ use proto::Weights;
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 
-use super::{Progress, Shared};
+use super::shared::{Progress, Shared};
 use crate::rollout::{Rollout, RolloutError, RolloutSetup};
 use crate::segment::Identity;
 use crate::streams::Life;
@@ -54,7 +54,7 @@ pub(super) fn step_worlds(
             Err(error) => return Err(error.into()),
         }
         let progress = Progress { counters: stepper.rollout.counters(), version: stepper.rollout.version() };
-        shared.progress()[thread_idx] = progress;
+        shared.progress.lock()[thread_idx] = progress;
     }
     Ok(())
 }
