@@ -1,7 +1,7 @@
 //! One PPO update: advantages, epochs, minibatches, gradient steps.
 
 mod passes;
-mod workers;
+pub(crate) mod workers;
 
 use std::ops::Range;
 
@@ -22,11 +22,6 @@ use crate::normalization::ValueStatistics;
 use crate::state::LearnerState;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
-
-/// Samples per pass through the network, which bounds its memory: on a CPU, a pass with gradients keeps about 230 kB per
-/// sample. A minibatch is split into equal pieces of about this size, the threads share the pieces, and their gradients
-/// are summed.
-pub(crate) const PIECE_SIZE: usize = 128;
 
 /// Maximum number of samples for estimating the KL divergence of an update.
 const KL_SAMPLES: usize = 2048;
