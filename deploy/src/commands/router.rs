@@ -3,7 +3,7 @@
 use bus::{BusConfig, BusMode, SecurityConfig};
 use tokio_util::sync::CancellationToken;
 
-use super::join_bus;
+use super::common::join_bus;
 use crate::cli::RouterArgs;
 use crate::exit::Failure;
 use crate::health::Reporter;

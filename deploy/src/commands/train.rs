@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::goals::TrainingGoals;
 use super::in_process::InProcess;
-use super::{join_bus, serve, services};
+use super::{common::join_bus, serve, services};
 use crate::cli::{Settings, TrainArgs};
 use crate::config::{Config, Preset};
 use crate::exit::Failure;
