@@ -104,7 +104,7 @@ fn rollout(policy: &Valid<PolicyConfig>, environment: &Valid<EnvironmentConfig>,
         tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
         segment_len: 32,
         warm_start: actor::WarmStartConfig::default(),
-        identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0 },
+        identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0, settings_hash: 0 },
         seed: 0,
     };
     let worlds = (0..N_WORLDS).map(|_| World::new(environment)).collect();

@@ -4,7 +4,6 @@ use environment::World;
 use proto::{Trajectory, Weights};
 
 use crate::rollout::{Rollout, RolloutSetup};
-use crate::segment::Identity;
 use crate::setup::ActorSetup;
 
 /// The worlds of one thread, stepped on request.
@@ -12,12 +11,14 @@ pub struct Lockstep {
     setup: ActorSetup,
     /// Created with the first weights.
     rollout: Option<Rollout<World>>,
+    /// Number of the next segment.
+    next_seq: u64,
 }
 
 impl Lockstep {
     /// Creates the worlds of one thread, whatever the actor's number of threads. The seed determines tasks and actions.
     pub fn new(setup: ActorSetup) -> Self {
-        Self { setup, rollout: None }
+        Self { setup, rollout: None, next_seq: 0 }
     }
 
     /// Advances every world by one step with `weights` and returns the segments that this finished.
@@ -41,12 +42,17 @@ impl Lockstep {
             }
             none => none.insert(first(&self.setup, seed, weights)?),
         };
-        Ok(rollout.step()?)
+        let mut segments = rollout.step()?;
+        for segment in &mut segments {
+            segment.seq = self.next_seq;
+            self.next_seq += 1;
+        }
+        Ok(segments)
     }
 }
 
 fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<World>> {
-    let identity = Identity { actor: setup.id.clone(), epoch: 0 };
+    let identity = setup.identity(0);
     let worlds = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();
     let setup = RolloutSetup { seed, ..RolloutSetup::new(setup, identity) };
     Ok(Rollout::new(setup, worlds, weights)?)

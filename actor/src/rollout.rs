@@ -70,8 +70,6 @@ impl RolloutSetup {
 #[derive(Debug)]
 pub struct Rollout<E> {
     setup: RolloutSetup,
-    /// Hash of the setup's settings, which every segment carries.
-    settings_hash: u64,
     policy: Policy,
     version: WeightsVersion,
     tasks: TaskSampler,
@@ -143,8 +141,8 @@ impl<E: Env> Rollout<E> {
         let mut tasks = TaskSampler::new(&setup.tasks, &setup.catalog)?;
         tasks.follow(weights);
         let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
-        let (settings_hash, counters) = (setup.settings.hash(), RolloutCounters::default());
-        let mut rollout = Self { setup, settings_hash, policy, version, tasks, envs, slots: Vec::new(), counters };
+        let counters = RolloutCounters::default();
+        let mut rollout = Self { setup, policy, version, tasks, envs, slots: Vec::new(), counters };
         rollout.restart(seed)?;
         Ok(rollout)
     }
@@ -194,8 +192,8 @@ impl<E: Env> Rollout<E> {
         Ok(EnvSlot { task_rng, segment, n_warm_start })
     }
 
-    /// Advances every world by one step and returns the segments that this finished, in the order of the worlds and
-    /// numbered from the rollout's first.
+    /// Advances every world by one step and returns the segments that this finished, in the order of the
+    /// worlds and not yet numbered.
     ///
     /// # Errors
     /// If no new task can be started, or with [`PolicyError::NoDistribution`] before any world has moved. In the latter
@@ -235,8 +233,7 @@ impl<E: Env> Rollout<E> {
             let (identity, after) = (&self.setup.identity, self.envs.env(row).scene());
             match slot.segment.push(transition, self.version, after, result.status, identity) {
                 Cut::None => {}
-                Cut::Segment(mut trajectory) => {
-                    (trajectory.seq, trajectory.settings_hash) = (self.counters.n_segments, self.settings_hash);
+                Cut::Segment(trajectory) => {
                     self.counters.n_segments += 1;
                     finished.push(*trajectory);
                 }

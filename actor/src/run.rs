@@ -1,26 +1,25 @@
 //! The actor as a service: stepping threads, sending tasks, and a reporting task.
 
+mod shared;
 mod stepping;
 
-use parking_lot::{Mutex, MutexGuard};
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use bus::{Bus, BusError, MetricsPublisher, SendError, TrajectorySender, process_epoch_ms};
-use policy::PolicyError;
-use proto::metrics::{ActorDrops, ActorMetrics, METRICS_SCHEMA_VERSION};
-use proto::{ActorId, Refusal, Role, Trajectory, Weights, WeightsVersion, keys};
+use bus::{Bus, BusError, MetricsPublisher, SendError, process_epoch_ms};
+use proto::metrics::{ActorMetrics, METRICS_SCHEMA_VERSION};
+use proto::{ActorId, Refusal, Role, Trajectory, keys};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-use crate::backlog::Backlog;
-use crate::rollout::{RolloutCounters, RolloutSetup};
-use crate::segment::Identity;
+use crate::rollout::RolloutSetup;
 use crate::setup::ActorSetup;
+use shared::Shared;
+pub use shared::Summary;
 use stepping::step_worlds;
 
 /// Maximum number of segments that wait for the learner's answer at once.
@@ -44,17 +43,6 @@ const RETRY_PAUSE: Duration = Duration::from_millis(50);
 
 /// Pause before a segment that nobody acknowledged is sent again.
 const NO_REPLY_PAUSE: Duration = Duration::from_millis(250);
-
-/// Results of an actor process.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Summary {
-    /// Counts of all threads.
-    pub counters: RolloutCounters,
-    /// Segments that the learner acknowledged.
-    pub n_trajectories_acked: u64,
-    /// Segments that were dropped, by reason.
-    pub dropped: ActorDrops,
-}
 
 /// Rolls out from the first weights until `shutdown`, then sends the remaining segments for up to 2 s.
 ///
@@ -93,22 +81,7 @@ pub async fn run(
     drop(waiting);
     tracing::info!(actor = %id, n_threads = config.n_threads, n_worlds = config.n_worlds, "stepping");
 
-    let shared = Arc::new(Shared {
-        backlog: Backlog::new(config.backlog_limit, config.full_backlog),
-        sender,
-        dropped: Mutex::default(),
-        n_acked: AtomicU64::new(0),
-        learner_version: AtomicU64::new(0),
-        progress: Mutex::new(vec![Progress::default(); config.n_threads]),
-        bus: bus.clone(),
-        refused: Mutex::default(),
-        actor: id.clone(),
-        name_taken_since: Mutex::default(),
-        lost_name: AtomicBool::new(false),
-        stop: shutdown.child_token(),
-        give_up: CancellationToken::new(),
-        counted: CancellationToken::new(),
-    });
+    let shared = Arc::new(Shared::new(&setup, sender, bus, &shutdown));
     // Dropping this guard ends the reporter on every return path.
     let uncounted = shared.counted.clone().drop_guard();
     let reporter = Reporter {
@@ -127,144 +100,43 @@ pub async fn run(
     }
     let mut threads = JoinSet::new();
     for thread_idx in 0..config.n_threads {
-        let identity = Identity { actor: id.clone(), epoch };
         // The seed still needs the version of the first weights.
-        let rollout = RolloutSetup::new(&setup, identity);
+        let rollout = RolloutSetup::new(&setup, setup.identity(epoch));
         let (environment, weights, shared) = (setup.environment.clone(), weights.clone(), shared.clone());
         let n_worlds = config.n_worlds;
         threads.spawn_blocking(move || step_worlds(rollout, &environment, n_worlds, weights, &shared, thread_idx));
     }
 
     let stepped = shared.stop_with_first(&mut threads).await;
-    // Segments that arrive after the senders have ended are counted below.
-    let drained = tokio::time::timeout(DRAIN_TIMEOUT, async { while senders.join_next().await.is_some() {} });
-    if drained.await.is_err() {
-        shared.give_up.cancel();
-        while senders.join_next().await.is_some() {}
-    }
-    let n_unsent = shared.backlog.clear();
-    let lost_name = shared.lost_name.load(Ordering::Relaxed);
-    if lost_name {
-        shared.drops().name_taken_total += n_unsent;
-    } else {
-        shared.drops().no_learner_total += n_unsent;
-    }
+    let n_unsent = drain(&shared, senders).await;
     drop(uncounted);
     reporting.await.context("the task that reports metrics failed")?;
     let report = shared.report();
     tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
     stepped?;
-    if lost_name {
+    if shared.lost_name.load(Ordering::Relaxed) {
         let (role, advice) = (Role::Actor.as_str(), "choose another --id");
         return Err(BusError::NameTaken { role, name: id.as_str().to_owned(), advice }.into());
     }
     Ok(report)
 }
 
-/// State shared by threads and tasks.
-struct Shared {
-    backlog: Backlog,
-    sender: TrajectorySender,
-    dropped: Mutex<ActorDrops>,
-    n_acked: AtomicU64,
-    /// Version of the learner's weights in its last answer.
-    learner_version: AtomicU64,
-    /// One per thread.
-    progress: Mutex<Vec<Progress>>,
-    bus: Bus,
-    /// The last refused weights, so that weights refused by several threads count once.
-    refused: Mutex<Weak<Weights>>,
-    actor: ActorId,
-    /// Time since which the learner reports that another process owns the actor's name.
-    name_taken_since: Mutex<Option<Instant>>,
-    /// Whether the learner has reported this for too long.
-    lost_name: AtomicBool,
-    /// Canceled to stop stepping.
-    stop: CancellationToken,
-    /// Canceled to stop sending as well.
-    give_up: CancellationToken,
-    /// Canceled when all segments are accounted for.
-    counted: CancellationToken,
-}
-
-/// Progress of a thread.
-#[derive(Clone, Copy, Debug, Default)]
-struct Progress {
-    counters: RolloutCounters,
-    version: WeightsVersion,
-}
-
-impl Shared {
-    /// Waits for `stop` or the end of the first thread, then ends the other threads and closes the backlog.
-    async fn stop_with_first(&self, threads: &mut JoinSet<anyhow::Result<()>>) -> anyhow::Result<()> {
-        let mut outcome = Ok(());
-        loop {
-            let ended = tokio::select! {
-                ended = threads.join_next() => ended,
-                () = self.stop.cancelled(), if !self.backlog.is_closed() => {
-                    // Wakes threads that pause for room.
-                    self.backlog.close();
-                    continue;
-                }
-            };
-            let Some(ended) = ended else { break };
-            self.stop.cancel();
-            let ended = ended.context("a stepping thread panicked").and_then(|result| result);
-            outcome = outcome.and(ended);
-        }
-        self.backlog.close();
-        outcome
+/// Waits until the backlog is sent, but not for long, and counts what is left. Returns how much that is.
+async fn drain(shared: &Shared, mut senders: JoinSet<()>) -> u64 {
+    let drained = tokio::time::timeout(DRAIN_TIMEOUT, async { while senders.join_next().await.is_some() {} });
+    if drained.await.is_err() {
+        shared.give_up.cancel();
+        while senders.join_next().await.is_some() {}
     }
-
-    fn drops(&self) -> MutexGuard<'_, ActorDrops> {
-        self.dropped.lock()
-    }
-
-    fn progress(&self) -> MutexGuard<'_, Vec<Progress>> {
-        self.progress.lock()
-    }
-
-    /// Counts unusable weights.
-    fn refuse(&self, weights: &Arc<Weights>, error: &PolicyError) {
-        let mut refused = self.refused.lock();
-        let weak = Arc::downgrade(weights);
-        if !refused.ptr_eq(&weak) {
-            *refused = weak;
-            self.bus.count_refused_weights();
-            tracing::warn!(version = weights.version.0, %error, "weights refused");
-        }
-    }
-
-    /// Records that the learner assigns the name to another process, and stops the actor if this lasts for `patience`.
-    fn name_is_taken(&self, patience: Duration) {
-        let mut since = self.name_taken_since.lock();
-        let since = since.get_or_insert_with(|| {
-            tracing::warn!(actor = %self.actor, "the learner says that another live actor has this name");
-            Instant::now()
-        });
-        if since.elapsed() >= patience {
-            self.lost_name.store(true, Ordering::Relaxed);
-            self.stop.cancel();
-            self.give_up.cancel();
-        }
-    }
-
-    /// Counts segments dropped for lack of room.
-    fn count_shed(&self, n_dropped: u64) {
-        if n_dropped > 0 && self.sender.learner_is_there() {
-            self.drops().full_total += n_dropped;
-        } else {
-            self.drops().no_learner_total += n_dropped;
-        }
-    }
-
-    fn report(&self) -> Summary {
-        let mut counters = RolloutCounters::default();
-        self.progress().iter().for_each(|progress| counters += progress.counters);
-        let mut dropped = *self.drops();
-        dropped.diverged_total = counters.n_diverged_episodes;
-        Summary { counters, n_trajectories_acked: self.n_acked.load(Ordering::Relaxed), dropped }
-    }
+    // Some may have arrived after the senders ended.
+    let n_unsent = shared.backlog.clear();
+    let mut dropped = shared.dropped.lock();
+    let counter = match shared.lost_name.load(Ordering::Relaxed) {
+        true => &mut dropped.name_taken_total,
+        false => &mut dropped.no_learner_total,
+    };
+    *counter += n_unsent;
+    n_unsent
 }
 
 /// Sends segments, oldest first, until the backlog is closed and empty.
@@ -274,31 +146,26 @@ async fn send_all(shared: Arc<Shared>) {
             () = shared.give_up.cancelled() => None,
             sent = send(&shared, &segment) => Some(sent),
         };
+        if sent == Some(Sent::Done) {
+            continue;
+        }
+        shared.count_shed(shared.backlog.put_back(segment));
         match sent {
-            Some(Sent::Done) => {}
-            Some(Sent::Busy) => {
-                shared.count_shed(shared.backlog.put_back(segment));
-                tokio::select! {
-                    () = tokio::time::sleep(RETRY_PAUSE) => {}
-                    () = shared.give_up.cancelled() => return,
-                }
-            }
-            Some(Sent::NobodyThere) => {
-                shared.count_shed(shared.backlog.put_back(segment));
-                tokio::select! {
-                    () = shared.sender.wait_for_learner() => {}
-                    () = shared.stop.cancelled() => return,
-                }
-            }
-            None => {
-                shared.count_shed(shared.backlog.put_back(segment));
-                return;
-            }
+            Some(Sent::Busy) => tokio::select! {
+                () = tokio::time::sleep(RETRY_PAUSE) => {}
+                () = shared.give_up.cancelled() => return,
+            },
+            Some(Sent::NobodyThere) => tokio::select! {
+                () = shared.sender.wait_for_learner() => {}
+                () = shared.stop.cancelled() => return,
+            },
+            Some(Sent::Done) | None => return,
         }
     }
 }
 
 /// Result of an attempt to send.
+#[derive(PartialEq)]
 enum Sent {
     /// Acknowledged, or dropped and counted.
     Done,
@@ -326,12 +193,12 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
                 return Sent::Busy;
             }
             Err(SendError::Refused(Refusal::Stale)) => {
-                shared.drops().stale_total += 1;
+                shared.dropped.lock().stale_total += 1;
                 return Sent::Done;
             }
             Err(error) => {
                 tracing::warn!(seq = segment.seq, %error, "segment dropped");
-                let mut drops = shared.drops();
+                let mut drops = shared.dropped.lock();
                 match error {
                     SendError::Refused(_) => drops.invalid_total += 1,
                     SendError::TooLarge { .. } => drops.too_large_total += 1,
@@ -341,7 +208,7 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
             }
         }
     }
-    shared.drops().no_reply_total += 1;
+    shared.dropped.lock().no_reply_total += 1;
     Sent::Done
 }
 
@@ -368,7 +235,7 @@ impl Reporter {
             let n_env_steps = report.counters.n_env_steps;
             let env_steps_per_s = speed.at(now - self.start, n_env_steps);
             // The oldest version, so that a thread that falls behind is visible.
-            let weights_version = self.shared.progress().iter().map(|p| p.version).min().unwrap_or_default();
+            let weights_version = self.shared.progress.lock().iter().map(|p| p.version).min().unwrap_or_default();
             let learner_version = self.shared.learner_version.load(Ordering::Relaxed);
             let metrics = ActorMetrics {
                 schema_version: METRICS_SCHEMA_VERSION,

@@ -11,6 +11,8 @@ pub struct Identity {
     pub actor: ActorId,
     /// Start time of the actor process, ms since 1970.
     pub epoch: u64,
+    /// Hash of the settings of policy and world.
+    pub settings_hash: u64,
 }
 
 /// Collects the steps of one episode.
@@ -38,7 +40,7 @@ pub struct SegmentBuilder {
 pub enum Cut {
     /// No segment is complete yet.
     None,
-    /// A segment. Its number and the hash of the settings must still be filled in.
+    /// A segment, which gets its number where those of all threads meet.
     Segment(Box<Trajectory>),
     /// The episode diverged, and steps of it were dropped.
     Diverged {
@@ -83,7 +85,7 @@ impl SegmentBuilder {
 
     /// Adds a step that led to `after` with `status`, acted with weights `version`.
     ///
-    /// A segment that this completes has the name and epoch of `identity`, number 0, and hash 0.
+    /// A segment that this completes is of `identity` and has number 0.
     pub fn push(
         &mut self,
         transition: Transition,
@@ -117,7 +119,7 @@ impl SegmentBuilder {
             epoch: identity.epoch,
             seq: 0,
             weights_version: oldest,
-            settings_hash: 0,
+            settings_hash: identity.settings_hash,
             task: self.task.clone(),
             behavior_policy: self.behavior_policy,
             first_step,

@@ -8,6 +8,7 @@ use policy::PolicyConfig;
 use proto::{ActorId, CanonicalSettings, Valid};
 
 use crate::config::ActorConfig;
+use crate::segment::Identity;
 
 /// Everything that an actor needs besides the bus.
 #[derive(Clone, Debug)]
@@ -27,6 +28,11 @@ pub struct ActorSetup {
 }
 
 impl ActorSetup {
+    /// Returns the origin of the segments of a process that started at `epoch`, in ms since 1970.
+    pub fn identity(&self, epoch: u64) -> Identity {
+        Identity { actor: self.id.clone(), epoch, settings_hash: self.settings().hash() }
+    }
+
     /// Returns the settings that must be the learner's.
     pub fn settings(&self) -> CanonicalSettings {
         CanonicalSettings::of_run(&self.policy, &self.environment)

@@ -101,7 +101,7 @@ pub(crate) fn trajectory() -> Trajectory {
 }
 
 pub(crate) fn identity() -> Identity {
-    Identity { actor: ActorId::try_from("toy".to_owned()).unwrap(), epoch: 1 }
+    Identity { actor: ActorId::try_from("toy".to_owned()).unwrap(), epoch: 1, settings_hash: 0 }
 }
 
 /// Returns the configuration of a network small enough for tests.

@@ -14,7 +14,7 @@ pub use geometry::{Approach, Parts};
 pub(crate) use plan::Shared;
 pub use plan::{Plan, PlanStep, extent_m};
 
-use crate::{BlockIdx, Blueprint, Placement};
+use crate::{BlockIdx, Placement};
 
 /// Minimum support margin of an intermediate structure, in units.
 pub const MIN_BUILD_MARGIN_U: f64 = 0.15;
@@ -72,15 +72,6 @@ impl Side {
 }
 
 impl Assembly {
-    /// Finds the sides on which the blueprint can be built. All copies of a blueprint share one search and number their
-    /// parts alike, whichever blocks they use.
-    ///
-    /// # Errors
-    /// If no side has an assembly order.
-    pub fn new(blueprint: &Blueprint) -> Result<Self, NoAssembly> {
-        blueprint.assembly.assembly(blueprint.placements())
-    }
-
     pub(crate) fn of_placements(placements: &[Placement]) -> Result<Self, NoAssembly> {
         let geometry = Geometry::new(placements);
         let blocks = placements.iter().map(|p| p.block).collect();

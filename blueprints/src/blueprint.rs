@@ -6,8 +6,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::assembly::{Plan, PlanStep, Shared};
-use crate::{BlockIdx, CubeRotation, Inventory, N_BLOCKS, RelativePlacement, UNIT_M};
+use crate::assembly::{Assembly, NoAssembly, Plan, PlanStep, Shared};
+use crate::{BlockIdx, Inventory, N_BLOCKS, Placement, RelativePlacement};
 
 /// Name of a blueprint: 1 to 64 letters, digits, `-`, and `_`, starting with a letter or digit.
 ///
@@ -34,17 +34,6 @@ pub enum Split {
     /// Held out from training, for all decisions during development; not in the paper. It comes last to leave the order
     /// of the others unchanged.
     Validation,
-}
-
-/// One block of a blueprint on the lattice.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Placement {
-    /// The block of the inventory.
-    pub block: BlockIdx,
-    /// Center in half units (0.05 m), blueprint frame, z up; the lowest cell rests on z = 0.
-    pub center_half_units: [i32; 3],
-    /// Orientation in the blueprint frame.
-    pub rotation: CubeRotation,
 }
 
 /// A pair of blocks that touch with opposite magnets and must be connected.
@@ -193,31 +182,6 @@ impl FromStr for Split {
     }
 }
 
-impl Placement {
-    /// Returns the center in meters, blueprint frame.
-    pub fn position_m(&self) -> nalgebra::Vector3<f32> {
-        nalgebra::Vector3::from(self.center_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
-    }
-
-    /// Returns the size in unit cells along the blueprint's axes.
-    pub fn size_cells(&self, inventory: &Inventory) -> [i32; 3] {
-        self.rotation.apply(inventory.cells(self.block).map(i32::from)).map(i32::abs)
-    }
-
-    /// Returns the unit cells that the block fills, each as its lowest corner in units, in increasing order.
-    pub fn filled_cells(&self, inventory: &Inventory) -> Vec<[i32; 3]> {
-        let size = self.size_cells(inventory);
-        let low: [i32; 3] = std::array::from_fn(|k| (self.center_half_units[k] - size[k]) / 2);
-        let mut cells = Vec::new();
-        for x in low[0]..low[0] + size[0] {
-            for y in low[1]..low[1] + size[1] {
-                cells.extend((low[2]..low[2] + size[2]).map(|z| [x, y, z]));
-            }
-        }
-        cells
-    }
-}
-
 impl Blueprint {
     /// Returns the blueprint's id.
     pub fn id(&self) -> &BlueprintId {
@@ -309,6 +273,17 @@ impl Blueprint {
         links.sort_by_key(|link| (link.a, link.b));
         let assembly = self.assembly.replaced(|block| permutation[block.get()]);
         Self { placements, links, assembly, id: self.id.clone(), split: self.split, title: self.title.clone() }
+    }
+}
+
+impl Assembly {
+    /// Finds the sides on which the blueprint can be built. All copies of a blueprint share one search and number their
+    /// parts alike, whichever blocks they use.
+    ///
+    /// # Errors
+    /// If no side has an assembly order.
+    pub fn new(blueprint: &Blueprint) -> Result<Self, NoAssembly> {
+        blueprint.assembly.assembly(blueprint.placements())
     }
 }
 

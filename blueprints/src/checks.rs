@@ -3,6 +3,8 @@
 //! The loader and `lodestone blueprints check` run the same list. The loader returns the first error, and the command
 //! reports all of them.
 
+mod unique;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -16,9 +18,10 @@ pub use crate::infer::{FoundTurn, WayReason};
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, Catalog, CubeRotation, Inventory, Link, NoAssembly, Placement,
+    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
     RelativePlacement, Split,
 };
+pub use unique::check_all;
 
 /// A check of one file; variants are in running order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -272,31 +275,6 @@ pub(crate) fn check_placements(
     let structure = Structure::new(&draft, &placed, inventory);
     structure.check()?;
     Ok(structure.blueprint())
-}
-
-/// Runs every check on `(file name, text)` pairs that will form one catalog, beside the built-in one.
-pub fn check_all<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Vec<Report> {
-    let mut reports: Vec<_> = files.into_iter().map(|(file, text)| check_text(file, text)).collect();
-    let mut by_id: BTreeMap<BlueprintId, String> = BTreeMap::new();
-    let mut by_hash: BTreeMap<u64, String> = BTreeMap::new();
-    for report in &mut reports {
-        let outcome = match &report.blueprint {
-            Err(_) => Outcome::Skipped,
-            Ok(blueprint) => {
-                let other = Catalog::builtin().namesake(blueprint);
-                let in_catalog = other.map(|_| "the catalog has another structure with this id".to_owned());
-                let by_file = by_id.get(blueprint.id()).map(|other| format!("{other} has the same id"));
-                let id_taken = in_catalog.or(by_file);
-                let hash = blueprint.canonical_hash();
-                let shape_taken = by_hash.get(&hash).map(|other| format!("{other} is the same structure"));
-                by_id.entry(blueprint.id().clone()).or_insert_with(|| report.file.clone());
-                by_hash.entry(hash).or_insert_with(|| report.file.clone());
-                id_taken.or(shape_taken).map_or(Outcome::Passed, |error| Outcome::Failed { error })
-            }
-        };
-        report.results.push(CheckResult { check: Check::Unique, outcome });
-    }
-    reports
 }
 
 #[derive(Default)]

@@ -5,13 +5,10 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-use crate::RelativePlacement;
+use crate::lattice::{RelativePlacement, UNIT_M};
 
 /// Number of blocks in every world (paper, section "Magnetic Block Assembly Environment").
 pub const N_BLOCKS: usize = 16;
-
-/// Edge of a unit cell in meters.
-pub const UNIT_M: f32 = 0.1;
 
 /// Index of a block in the inventory, 0..16.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]

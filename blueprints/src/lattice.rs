@@ -4,7 +4,8 @@ use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Placement, UNIT_M};
+/// Edge of a unit cell in meters.
+pub const UNIT_M: f32 = 0.1;
 
 /// One of the 24 rotations that map the cube onto itself.
 ///
@@ -161,13 +162,6 @@ pub struct RelativePlacement {
 }
 
 impl RelativePlacement {
-    /// Returns the pose of `b` relative to `a`.
-    pub fn between(a: &Placement, b: &Placement) -> Self {
-        let to_a = a.rotation.inverse();
-        let offset = std::array::from_fn(|i| b.center_half_units[i] - a.center_half_units[i]);
-        Self { offset_half_units: to_a.apply(offset), rotation: to_a.compose(b.rotation) }
-    }
-
     /// Returns the center of `b` minus the center of `a` in `a`'s frame, in meters.
     pub fn position_m(&self) -> nalgebra::Vector3<f32> {
         nalgebra::Vector3::from(self.offset_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
@@ -188,6 +182,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::{BlockIdx, Placement};
 
     #[test]
     fn rotations_form_a_group() {
@@ -238,7 +233,7 @@ mod tests {
     }
 
     fn placement(block: u8) -> impl Strategy<Value = Placement> {
-        let block = crate::BlockIdx::try_from(block).unwrap();
+        let block = BlockIdx::try_from(block).unwrap();
         (prop::array::uniform3(-20..20), rotation()).prop_map(move |(center_half_units, rotation)| Placement {
             block,
             center_half_units,

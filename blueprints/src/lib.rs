@@ -1,9 +1,9 @@
 //! Blocks, magnets, the inventory, and target structures ("blueprints"), without physics.
 //!
-//! Reading order: [`lattice`] → [`inventory`] → [`blueprint`] → the file [`mod@format`] and its [`error`]s → [`stance`]
-//! and [`strength`] → inference of what a file leaves open (`infer`) → [`checks`] → [`drawing`] → the file writer → the
-//! canonical hash → [`catalog`]. [`outside`] reads files and prints texts that nobody vouches for, here and in other
-//! crates.
+//! Reading order: [`lattice`] → [`inventory`] → [`placement`] → [`blueprint`] → the file [`mod@format`] and its
+//! [`error`]s → [`stance`] and [`strength`] → inference of what a file leaves open (`infer`) → [`checks`] → [`drawing`]
+//! → the file writer → the canonical hash → [`catalog`]. [`outside`] reads files and prints texts that nobody vouches
+//! for, here and in other crates.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -22,14 +22,16 @@ mod infer;
 pub mod inventory;
 pub mod lattice;
 pub mod outside;
+pub mod placement;
 pub mod stance;
 pub mod strength;
 mod writer;
 
 pub use assembly::{Assembly, NoAssembly};
-pub use blueprint::{Blueprint, BlueprintId, Link, Placement, Split};
+pub use blueprint::{Blueprint, BlueprintId, Link, Split};
 pub use catalog::{Catalog, CatalogError};
 pub use error::{BlueprintError, BlueprintFileError};
 pub use group::{Group, InvalidGroup};
-pub use inventory::{BlockIdx, BlockType, Inventory, InventoryError, Magnet, N_BLOCKS, Polarity, UNIT_M};
-pub use lattice::{CubeRotation, RelativePlacement};
+pub use inventory::{BlockIdx, BlockType, Inventory, InventoryError, Magnet, N_BLOCKS, Polarity};
+pub use lattice::{CubeRotation, RelativePlacement, UNIT_M};
+pub use placement::Placement;

@@ -94,6 +94,24 @@ pub(crate) struct Velocity {
     pub(crate) angular: Vector3<f32>,
 }
 
+impl Bodies {
+    fn add_block(&mut self, block: BlockIdx, half_extents_m: [f32; 3], physics: &PhysicsConfig) -> RigidBodyHandle {
+        let body = RigidBodyBuilder::dynamic()
+            .linear_damping(DAMPING_HZ)
+            .angular_damping(DAMPING_HZ)
+            // Apart from each other and above the ground until a reset places them.
+            .translation(to_rapier(Vector3::new(block.get() as f32, 0.0, 1.0)));
+        let handle = self.bodies.insert(body);
+        let activation = self.bodies[handle].activation_mut();
+        activation.time_until_sleep = SLEEP_AFTER_S;
+        activation.normalized_linear_threshold = SLEEP_BELOW_MPS / blueprints::UNIT_M;
+        let [x, y, z] = half_extents_m;
+        let collider = ColliderBuilder::cuboid(x, y, z).density(physics.density_kgpm3).friction(physics.friction);
+        self.colliders.insert_with_parent(collider, handle, &mut self.bodies);
+        handle
+    }
+}
+
 impl Engine {
     pub(crate) fn new(physics: &PhysicsConfig, inventory: &Inventory) -> Self {
         let mut template = Bodies {
@@ -113,24 +131,8 @@ impl Engine {
             template.bodies.insert(RigidBodyBuilder::fixed().translation(to_rapier(Vector3::new(0.0, 0.0, -z))));
         let collider = ColliderBuilder::cuboid(x, y, z).friction(physics.friction);
         template.colliders.insert_with_parent(collider, ground, &mut template.bodies);
-        let blocks: Vec<_> = BlockIdx::all()
-            .map(|block| {
-                let body = RigidBodyBuilder::dynamic()
-                    .linear_damping(DAMPING_HZ)
-                    .angular_damping(DAMPING_HZ)
-                    // Apart from each other and above the ground until a reset places them.
-                    .translation(to_rapier(Vector3::new(block.get() as f32, 0.0, 1.0)));
-                let handle = template.bodies.insert(body);
-                let activation = template.bodies[handle].activation_mut();
-                activation.time_until_sleep = SLEEP_AFTER_S;
-                activation.normalized_linear_threshold = SLEEP_BELOW_MPS / blueprints::UNIT_M;
-                let [x, y, z] = inventory.half_extents_m(block);
-                let collider =
-                    ColliderBuilder::cuboid(x, y, z).density(physics.density_kgpm3).friction(physics.friction);
-                template.colliders.insert_with_parent(collider, handle, &mut template.bodies);
-                handle
-            })
-            .collect();
+        let blocks: Vec<_> =
+            BlockIdx::all().map(|block| template.add_block(block, inventory.half_extents_m(block), physics)).collect();
         let parameters = IntegrationParameters {
             dt: SUBSTEP_S,
             // The engine's tolerances are fractions of this length; at 1, they are huge for a 10 cm block.

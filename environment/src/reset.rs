@@ -1,25 +1,24 @@
 //! Initial states: poses and connections of the blocks, drawn from a seed.
 
+mod draft;
 mod footprint;
 mod structure;
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 
-use blueprints::{BlockIdx, Blueprint, CubeRotation, Inventory, N_BLOCKS};
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proto::Joint;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::env::ResetError;
-use footprint::Footprint;
+use draft::{Draft, symmetric};
 use structure::{remaining_after, stand};
 
 /// Half width of the square around the origin in which blocks are scattered, m.
 const ARENA_HALF_WIDTH_M: f32 = 0.8;
-/// Minimum gap between scattered blocks, m; none attract.
-const CLEARANCE_M: f32 = 0.05;
 /// Maximum ratio of a scattered block's height to the shorter side of the face that it rests on.
 const MAX_SLENDERNESS: f32 = 2.0;
 /// Near-goal starts: maximum distance of a removed block's center from its target in x and in y, m. It grows by 2 % with
@@ -37,14 +36,6 @@ const N_LAYOUTS: usize = 50;
 pub(crate) struct Layout {
     pub(crate) poses: [Isometry3<f32>; N_BLOCKS],
     pub(crate) joints: Vec<Joint>,
-}
-
-/// A partial layout.
-#[derive(Clone, Default)]
-struct Draft {
-    poses: [Option<Isometry3<f32>>; N_BLOCKS],
-    footprints: Vec<Footprint>,
-    joints: Vec<Joint>,
 }
 
 /// Returns an assignment that shuffles the blocks of each type among themselves, with all permutations equally likely.
@@ -104,10 +95,7 @@ fn put_beside(draft: &mut Draft, block: BlockIdx, place: &Isometry3<f32>, rng: &
     for _ in 0..N_TRIES {
         let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), symmetric(rng, YAW_NOISE_RAD));
         let (x, y) = (place.translation.x + symmetric(rng, reach), place.translation.y + symmetric(rng, reach));
-        let rotation = yaw * place.rotation;
-        let footprint = Footprint::new(block, &rotation, [x, y]);
-        if draft.is_free(&footprint) {
-            draft.put(block, rotation, footprint);
+        if draft.put(block, yaw * place.rotation, [x, y]) {
             return Some(());
         }
         // The structure there may be wide, so look farther and farther away.
@@ -140,12 +128,7 @@ fn scatter(draft: &mut Draft, block: BlockIdx, rng: &mut ChaCha8Rng) -> bool {
     (0..N_TRIES).any(|_| {
         let rotation = random_rotation(block, rng);
         let xy = [symmetric(rng, ARENA_HALF_WIDTH_M), symmetric(rng, ARENA_HALF_WIDTH_M)];
-        let footprint = Footprint::new(block, &rotation, xy);
-        let free = draft.is_free(&footprint);
-        if free {
-            draft.put(block, rotation, footprint);
-        }
-        free
+        draft.put(block, rotation, xy)
     })
 }
 
@@ -167,32 +150,4 @@ fn random_rotation(block: BlockIdx, rng: &mut ChaCha8Rng) -> UnitQuaternion<f32>
         _ => UnitQuaternion::from_axis_angle(&Vector3::x_axis(), if flip > 0.0 { 0.0 } else { 2.0 * FRAC_PI_2 }),
     };
     UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..TAU)) * face
-}
-
-fn symmetric(rng: &mut ChaCha8Rng, half_width: f32) -> f32 {
-    half_width * (2.0 * rng.random::<f32>() - 1.0)
-}
-
-impl Draft {
-    fn is_free(&self, footprint: &Footprint) -> bool {
-        self.footprints.iter().all(|other| footprint.gap(other) >= CLEARANCE_M)
-    }
-
-    /// Puts a block on the ground.
-    fn put(&mut self, block: BlockIdx, rotation: UnitQuaternion<f32>, footprint: Footprint) {
-        let [x, y] = footprint.center;
-        let translation = Translation3::new(x, y, footprint.half_height);
-        self.poses[block.get()] = Some(Isometry3::from_parts(translation, rotation));
-        self.footprints.push(footprint);
-    }
-}
-
-/// Returns the rotation by `angle` about z.
-fn yaw_of(angle: f32) -> UnitQuaternion<f32> {
-    UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle)
-}
-
-/// Returns half of a block's extent along the lattice axes in half units, which equals its number of cells.
-fn half_size(block: BlockIdx, rotation: CubeRotation) -> [i32; 3] {
-    rotation.apply(Inventory::standard().cells(block).map(i32::from)).map(i32::abs)
 }

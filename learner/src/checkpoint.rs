@@ -13,6 +13,7 @@
 //! disk, leaves nothing behind. The next start removes the leftovers of a killed process.
 
 pub(crate) mod files;
+mod format;
 pub(crate) mod tensors;
 
 use std::fs;
@@ -27,6 +28,9 @@ use serde_json::Value;
 use crate::adam::Adam;
 use crate::state::LearnerState;
 use files::FileInfo;
+pub use format::CheckpointError;
+pub(crate) use format::{FORMAT_VERSION, FormatVersion};
+use format::{damaged, io};
 pub use tensors::ParameterInfo;
 
 /// A function that durably writes a new file to a folder.
@@ -40,10 +44,6 @@ const STATE: &str = "state.json";
 
 /// Maximum size of `state.json` in bytes; it has about 100 000.
 const MAX_STATE_BYTES: u64 = 64 << 20;
-
-/// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
-/// would read other features ([`policy::config::FEATURE_LAYOUT`]).
-pub(crate) const FORMAT_VERSION: u32 = 4;
 
 /// The complete state of a learner.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,54 +64,6 @@ pub struct Checkpoint {
     pub mailbox: Vec<Trajectory>,
 }
 
-/// Errors from writing or reading a checkpoint.
-#[derive(Debug, thiserror::Error)]
-pub enum CheckpointError {
-    /// The file system returned an error.
-    #[error("{action} {path}: {error}")]
-    Io {
-        /// The failed operation.
-        action: &'static str,
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        error: std::io::Error,
-    },
-    /// A file differs from what was written.
-    #[error("checkpoint file {path} is damaged: {reason}")]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The difference.
-        reason: String,
-    },
-    /// Another version of the program wrote it.
-    #[error(
-        "{path} has format version {found}, and this program reads version {FORMAT_VERSION}; use the version of \
-         Lodestone that wrote it, or train anew"
-    )]
-    Version {
-        /// The file.
-        path: PathBuf,
-        /// Its format version.
-        found: u32,
-    },
-    /// The policy has settings that this version does not know, such as another kind of move head.
-    #[error("{path} holds a policy that this version of Lodestone does not know: {reason}")]
-    UnknownPolicy {
-        /// The file.
-        path: PathBuf,
-        /// The unknown setting.
-        reason: String,
-    },
-    /// There is no folder `step-<n>`.
-    #[error("there is no checkpoint in {0}")]
-    Absent(PathBuf),
-    /// The checkpoint belongs to a different network or catalog.
-    #[error("the checkpoint does not fit this learner: {0}")]
-    Mismatch(String),
-}
-
 /// The newest readable checkpoint, with the errors of newer ones.
 #[derive(Debug)]
 pub struct Found {
@@ -121,12 +73,6 @@ pub struct Found {
     pub checkpoint: Checkpoint,
     /// The error of each newer checkpoint, newest first.
     pub passed_over: Vec<CheckpointError>,
-}
-
-/// The part of a file that every version has.
-#[derive(Deserialize)]
-pub(crate) struct FormatVersion {
-    format_version: u32,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -140,16 +86,6 @@ struct StateFile {
     table: Vec<ParameterInfo>,
     adam_steps: u64,
     state: LearnerState,
-}
-
-impl FormatVersion {
-    /// Checks that this program reads the version of the file at `path`.
-    pub(crate) fn check(&self, path: &Path) -> Result<(), CheckpointError> {
-        match self.format_version {
-            FORMAT_VERSION => Ok(()),
-            found => Err(CheckpointError::Version { path: path.into(), found }),
-        }
-    }
 }
 
 impl Checkpoint {
@@ -282,15 +218,6 @@ pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
         Some(path) if !path.exists() => fs::rename(&leftover.path, &path).map_err(io("renaming", &leftover.path)),
         _ => files::remove(&leftover.path),
     })
-}
-
-/// Returns a closure for `map_err` that names the failed file system operation.
-fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
-    move |error| CheckpointError::Io { action, path: path.into(), error }
-}
-
-fn damaged(folder: &Path, name: &str, reason: impl Into<String>) -> CheckpointError {
-    CheckpointError::Damaged { path: folder.join(name), reason: reason.into() }
 }
 
 fn json(value: &impl Serialize) -> Result<Vec<u8>, CheckpointError> {

@@ -1,7 +1,7 @@
 //! One PPO update: advantages, epochs, minibatches, gradient steps.
 
 mod passes;
-mod workers;
+pub(crate) mod workers;
 
 use std::ops::Range;
 
@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
-use crate::config::{LearnerConfig, LrSchedule, Objective};
+use crate::config::{LearnerConfig, LossTerms, LrSchedule, Objective};
 use crate::draws;
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance, importance_ratios};
@@ -22,11 +22,6 @@ use crate::normalization::ValueStatistics;
 use crate::state::LearnerState;
 use passes::{LossSums, Targets};
 use workers::{Workers, pieces};
-
-/// Samples per pass through the network, which bounds its memory: on a CPU, a pass with gradients keeps about 230 kB per
-/// sample. A minibatch is split into equal pieces of about this size, the threads share the pieces, and their gradients
-/// are summed.
-pub(crate) const PIECE_SIZE: usize = 128;
 
 /// Maximum number of samples for estimating the KL divergence of an update.
 const KL_SAMPLES: usize = 2048;
@@ -94,8 +89,21 @@ struct Steps {
 }
 
 impl Steps {
-    fn mean_grad_norm(&self) -> f64 {
-        self.grad_norm / self.n_steps.max(1) as f64
+    /// The means of what the steps counted; all else is zero.
+    fn metrics(&self, loss: &LossTerms) -> PpoMetrics {
+        let mean = |sum: f64| sum / self.n_samples.max(1) as f64;
+        PpoMetrics {
+            total_loss: mean(self.losses.total(loss)),
+            policy_loss: mean(self.losses.policy),
+            value_loss: mean(self.losses.value),
+            entropy: mean(self.losses.blocks + self.losses.moves),
+            entropy_blocks: mean(self.losses.blocks),
+            entropy_moves: mean(self.losses.moves),
+            grad_norm: self.grad_norm / self.n_steps.max(1) as f64,
+            n_gradient_steps: self.n_steps,
+            n_skipped_steps: self.n_skipped,
+            ..PpoMetrics::default()
+        }
     }
 }
 
@@ -202,26 +210,17 @@ impl Ppo {
         if let LrSchedule::Adaptive(rule) = &config.optimizer.lr_schedule {
             *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
-        let mean = |sum: f64| sum / steps.n_samples.max(1) as f64;
         let ppo = PpoMetrics {
-            total_loss: mean(steps.losses.total(&targets.loss)),
-            policy_loss: mean(steps.losses.policy),
-            value_loss: mean(steps.losses.value),
-            entropy: mean(steps.losses.blocks + steps.losses.moves),
-            entropy_blocks: mean(steps.losses.blocks),
-            entropy_moves: mean(steps.losses.moves),
             approx_kl: moved.approx_kl,
             clip_fraction: moved.clip_fraction,
             effective_sample_size: effective_sample_size(&before.log_probs, &batch.behavior_log_probs),
             explained_variance: explained_variance(&values[..batch.n_samples()], &returns),
-            grad_norm: steps.mean_grad_norm(),
             learning_rate: f64::from(rate.0),
             n_samples: batch.n_samples() as u64,
-            n_gradient_steps: steps.n_steps,
-            n_skipped_steps: steps.n_skipped,
             n_epochs: config.n_epochs as u64,
             value_mean: progress.values.mean,
             value_std: progress.values.std,
+            ..steps.metrics(&targets.loss)
         };
         let proposals = batch.draws.as_ref().map(|draws| draws::metrics(draws, &before.entropies));
         Learned { ppo, proposals }

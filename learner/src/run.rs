@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use anyhow::Context;
 use blueprints::outside;
-use bus::{Bus, WeightsPublisher};
+use bus::{Bus, MetricsPublisher, WeightsPublisher};
 use proto::metrics::LearnerMetrics;
-use proto::{Role, Weights, WeightsVersion, keys};
+use proto::{Role, WeightsVersion, keys};
 use runlog::{MetricsWriter, RunPaths};
 use serde_json::Value;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -103,16 +103,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         .spawn(move || result.send(trainer.run()))
         .context("starting the learner's thread")?;
 
-    let published = async {
-        while let Some(Publication { weights, metrics: numbers }) = arrivals.recv().await {
-            publish(&publisher, &version, weights).await?;
-            if let Some(numbers) = numbers {
-                metrics.put(&numbers).await?;
-            }
-        }
-        anyhow::Ok(())
-    }
-    .await;
+    let published = publish_all(&mut arrivals, &publisher, &version, &metrics).await;
     // After an error, the closed channel ends the thread, which saves a checkpoint before.
     drop(arrivals);
     let report = ended.await.context("the learner's thread panicked")?;
@@ -123,14 +114,21 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     report.map(Some)
 }
 
-async fn publish(
+/// Publishes what the learner's thread sends until it ends.
+async fn publish_all(
+    arrivals: &mut mpsc::Receiver<Publication>,
     publisher: &WeightsPublisher,
     version: &watch::Sender<WeightsVersion>,
-    weights: Arc<Weights>,
+    metrics: &MetricsPublisher,
 ) -> anyhow::Result<()> {
-    let newest = weights.version;
-    publisher.publish(weights).await?;
-    version.send_replace(newest);
+    while let Some(Publication { weights, metrics: numbers }) = arrivals.recv().await {
+        let newest = weights.version;
+        publisher.publish(weights).await?;
+        version.send_replace(newest);
+        if let Some(numbers) = numbers {
+            metrics.put(&numbers).await?;
+        }
+    }
     Ok(())
 }
 

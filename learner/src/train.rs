@@ -18,9 +18,8 @@ use std::path::PathBuf;
 use policy::normalization::normalize;
 use proto::{BehaviorPolicy, Trajectory};
 
-pub(crate) use self::output::{Clock, Output, Publication};
+pub(crate) use self::output::{Clock, Output, Publication, Saving};
 pub use self::output::{SAVE_RETRY, Summary};
-pub(crate) use self::saving::Saving;
 use crate::batch::Batch;
 use crate::episodes::EpisodeTally;
 use crate::learner::{Learner, n_env_steps};

@@ -62,7 +62,7 @@ impl Engine {
     pub fn parameters(&self) -> Vec<f32> {
         match &self.form {
             Form::Cpu { network, .. } => network.parameters().to_vec(),
-            Form::Burn { plain, .. } => parameters::flatten(plain),
+            Form::Burn { plain, .. } => parameters::flatten(plain.as_ref()),
         }
     }
 
@@ -192,7 +192,9 @@ impl Engine {
                 network.backward(tape, &by_output, &mut spare);
                 spare
             }
-            (Form::Burn { tracked: Some(network), .. }, None) => parameters::flatten_gradients(network, &mut gradients),
+            (Form::Burn { tracked: Some(network), .. }, None) => {
+                parameters::flatten_gradients(network.as_ref(), &mut gradients)
+            }
             _ => panic!("a tracked pass of another engine"),
         }
     }

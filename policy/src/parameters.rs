@@ -12,8 +12,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use sha2::{Digest, Sha256};
 
-use crate::Network;
-
 /// Number of values that a digest takes at a time.
 const BLOCK: usize = 1024;
 
@@ -75,8 +73,8 @@ impl ParameterSpec {
 }
 
 /// Returns all parameters of `network` in the order of its table.
-pub fn flatten(network: &Network) -> Vec<f32> {
-    let mut visitor = Flatten { values: Vec::with_capacity(network.n_parameters()) };
+pub fn flatten(network: &impl Module) -> Vec<f32> {
+    let mut visitor = Flatten { values: Vec::with_capacity(network.num_params()) };
     network.visit(&mut visitor);
     visitor.values
 }
@@ -85,8 +83,8 @@ pub fn flatten(network: &Network) -> Vec<f32> {
 ///
 /// # Errors
 /// If the number of values is wrong or one of them is not finite.
-pub fn load(network: Network, values: &[f32]) -> Result<Network, ParameterError> {
-    check(values, network.n_parameters())?;
+pub fn load<M: Module>(network: M, values: &[f32]) -> Result<M, ParameterError> {
+    check(values, network.num_params())?;
     Ok(network.map(&mut Load { values, at: 0 }))
 }
 
@@ -124,8 +122,8 @@ pub fn digest<'t>(table: impl IntoIterator<Item = (&'t str, &'t [usize])>, mut v
 /// Returns the gradients of all parameters in the order of the table; 0 where the loss does not depend on a parameter.
 ///
 /// `network` must be the one whose forward pass computed the loss.
-pub fn flatten_gradients(network: &Network, gradients: &mut Gradients) -> Vec<f32> {
-    let mut visitor = FlattenGradients { gradients, values: Vec::with_capacity(network.n_parameters()) };
+pub fn flatten_gradients(network: &impl Module, gradients: &mut Gradients) -> Vec<f32> {
+    let mut visitor = FlattenGradients { gradients, values: Vec::with_capacity(network.num_params()) };
     network.visit(&mut visitor);
     visitor.values
 }

@@ -11,48 +11,14 @@ use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use proto::WeightsVersion;
-use proto::metrics::{EvalBlueprint, EvalReport, EvalResetFree};
-use rusqlite::{Connection, ErrorCode, OpenFlags};
+use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
+pub use rows::Pass;
 pub use schema::SCHEMA_VERSION;
+use schema::{APPLICATION_ID, TABLES};
 
 /// Time that a writer waits for readers, and readers for a writer.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// One evaluation of frozen weights, as stored in the history.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pass {
-    /// End time, milliseconds since 1970.
-    pub ended_unix_ms: u64,
-    /// Duration, seconds.
-    pub elapsed_s: f64,
-    /// Version of the evaluated weights.
-    pub weights_version: WeightsVersion,
-    /// Environment steps that the learner had consumed when it published the weights.
-    pub n_env_steps: u64,
-    /// Seed of the start states.
-    pub seed: u64,
-    /// Results by blueprint, ordered by split, size, and id.
-    pub blueprints: Vec<EvalBlueprint>,
-    /// Reset-free runs, if there were any.
-    pub reset_free: Option<EvalResetFree>,
-}
-
-impl Pass {
-    /// Selects the stored parts of a report; `ended_unix_ms` is in milliseconds since 1970.
-    pub fn new(report: &EvalReport, ended_unix_ms: u64) -> Self {
-        Self {
-            ended_unix_ms,
-            elapsed_s: report.summary.elapsed_s,
-            weights_version: report.summary.weights_version,
-            n_env_steps: report.summary.n_env_steps,
-            seed: report.summary.seed,
-            blueprints: report.blueprints.clone(),
-            reset_free: report.summary.reset_free.clone(),
-        }
-    }
-}
 
 /// Errors of the history.
 #[derive(Debug, thiserror::Error)]
@@ -131,7 +97,7 @@ impl History {
         let failed = |error| HistoryError::Database { path: path.to_owned(), error };
         let mut db = Connection::open(path).map_err(failed)?;
         configure(&db).map_err(failed)?;
-        schema::prepare(&mut db, path)?;
+        prepare(&mut db, path)?;
         Ok(Self { path: path.to_owned(), db, _lock: lock })
     }
 
@@ -157,7 +123,7 @@ impl History {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let db = Connection::open_with_flags(path, flags).map_err(failed)?;
         configure(&db).map_err(failed)?;
-        schema::check(&db, path)?;
+        check(&db, path)?;
         rows::read(&db).map_err(failed)
     }
 }
@@ -165,6 +131,41 @@ impl History {
 fn configure(db: &Connection) -> rusqlite::Result<()> {
     db.busy_timeout(BUSY_TIMEOUT)?;
     db.pragma_update(None, "foreign_keys", true)
+}
+
+/// Creates the tables in an empty database; leaves a database of this version unchanged.
+///
+/// # Errors
+/// If the database has a newer version, is not a history, or cannot be written.
+fn prepare(db: &mut Connection, path: &Path) -> Result<(), HistoryError> {
+    let failed = |error| HistoryError::Database { path: path.to_owned(), error };
+    // Check and create under one lock: if two processes find it empty, the second sees the tables of the first.
+    let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate).map_err(failed)?;
+    let n_tables: i64 =
+        transaction.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0)).map_err(failed)?;
+    if n_tables == 0 {
+        transaction.execute_batch(TABLES).map_err(failed)?;
+        transaction.pragma_update(None, "application_id", APPLICATION_ID).map_err(failed)?;
+        transaction.pragma_update(None, "user_version", SCHEMA_VERSION).map_err(failed)?;
+    }
+    transaction.commit().map_err(failed)?;
+    check(db, path)
+}
+
+/// Checks that the database is a history of this version.
+///
+/// # Errors
+/// If it has a newer version, is not a history, or cannot be read.
+fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
+    let pragma = |name: &str| db.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
+    let failed = |error| HistoryError::Database { path: path.to_owned(), error };
+    let path = path.to_owned();
+    match (pragma("application_id").map_err(failed)?, pragma("user_version").map_err(failed)?) {
+        (APPLICATION_ID, SCHEMA_VERSION) => Ok(()),
+        (APPLICATION_ID, found) if found > SCHEMA_VERSION => Err(HistoryError::Newer { path, found }),
+        // Version 1 has no predecessor; later versions migrate older tables here.
+        _ => Err(HistoryError::Foreign { path }),
+    }
 }
 
 /// Creates the folder and acquires the lock. The system releases the lock when the process ends, however it ends.

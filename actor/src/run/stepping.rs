@@ -8,7 +8,7 @@ use proto::{Valid, Weights};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 
-use super::{Progress, Shared};
+use super::shared::{Progress, Shared};
 use crate::rollout::{Rollout, RolloutError, RolloutSetup};
 use crate::segment::Identity;
 use crate::streams::Life;
@@ -27,7 +27,7 @@ pub(super) fn step_worlds(
 ) -> anyhow::Result<()> {
     let worlds = (0..n_worlds).map(|_| World::new(environment)).collect();
     let Some(first) = first_usable(&setup, &mut weights, shared)? else { return Ok(()) };
-    let Identity { actor, epoch } = setup.identity.clone();
+    let Identity { actor, epoch, .. } = setup.identity.clone();
     let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
     setup.seed = life.thread_seed(thread_idx);
     let rollout = Rollout::new(setup, worlds, &first)?;
@@ -53,7 +53,7 @@ pub(super) fn step_worlds(
             Err(error) => return Err(error.into()),
         }
         let progress = Progress { counters: stepper.rollout.counters(), version: stepper.rollout.version() };
-        shared.progress()[thread_idx] = progress;
+        shared.progress.lock()[thread_idx] = progress;
     }
     Ok(())
 }

@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use blueprints::{BlockIdx, Catalog};
 use environment::EnvironmentConfig;
 use policy::{BlockMask, Network};
-use proto::{Status, Valid};
+use proto::metrics::ActorDrops;
+use proto::{Status, Valid, Weights, WeightsVersion};
 use tokio::sync::mpsc;
 
 use super::*;

@@ -4,41 +4,13 @@ mod buildings;
 mod furniture;
 mod letters;
 mod records;
+mod shape;
 mod spine;
 
-use std::collections::BTreeSet;
-
 use super::Style;
-use super::brick::{Brick, Cell, Stock};
+use super::brick::Stock;
 use super::dice::Dice;
-
-/// A shape and its description.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Sketch {
-    pub(super) cells: BTreeSet<Cell>,
-    pub(super) words: String,
-}
-
-impl Sketch {
-    fn new(words: &str) -> Self {
-        Self { cells: BTreeSet::new(), words: words.to_owned() }
-    }
-
-    /// Adds a cuboid; does nothing if a side is not positive.
-    fn add(&mut self, low: Cell, size: [i32; 3]) {
-        self.cells.extend(Brick { type_idx: 0, low, size }.cells());
-    }
-
-    pub(super) fn extent(&self, axis: usize) -> i32 {
-        let along = || self.cells.iter().map(|cell| cell[axis]);
-        along().max().unwrap_or(0) - along().min().unwrap_or(0) + 1
-    }
-
-    /// Returns the sketch if it has exactly that volume, otherwise `None`.
-    fn of_volume(self, volume: i32) -> Option<Self> {
-        (self.cells.len() as i32 == volume).then_some(self)
-    }
-}
+use shape::Sketch;
 
 /// Draws a shape of the style for `n_blocks` blocks; `None` if this draw failed.
 ///

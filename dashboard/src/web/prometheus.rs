@@ -35,7 +35,9 @@ pub(super) fn text(state: &State, run: &str) -> Result<String, std::fmt::Error> 
     success(&mut page, state);
     learner(&mut page, state);
     roster(&mut page, state);
-    dropped(&mut page, state);
+    dropped_by_learner(&mut page, state);
+    dropped_by_evaluator(&mut page, state);
+    dropped_by_page(&mut page, state);
     let mut text = String::new();
     encode(&mut text, &page.0)?;
     Ok(text)
@@ -203,7 +205,7 @@ fn roster(page: &mut Scrape, state: &State) {
     );
 }
 
-fn dropped(page: &mut Scrape, state: &State) {
+fn dropped_by_learner(page: &mut Scrape, state: &State) {
     let learner = state.run.learner().map(|heard| &heard.value);
     let of_bus = learner.into_iter().flat_map(|learner| by_reason(&learner.bus));
     page.counters("learner_bus_dropped", "What the learner's session dropped or refused, by reason", of_bus);
@@ -238,6 +240,9 @@ fn dropped(page: &mut Scrape, state: &State) {
         "Trajectories that came while the mailbox was full, which actors send again",
         learner.map(|learner| learner.ingest.full_total),
     );
+}
+
+fn dropped_by_evaluator(page: &mut Scrape, state: &State) {
     let evaluation = state.run.evaluation().map(|heard| &heard.value);
     let of_bus = evaluation.into_iter().flat_map(|evaluation| by_reason(&evaluation.bus));
     page.counters("evaluator_bus_dropped", "What the evaluator's session dropped or refused, by reason", of_bus);
@@ -257,6 +262,9 @@ fn dropped(page: &mut Scrape, state: &State) {
             reasons,
         );
     }
+}
+
+fn dropped_by_page(page: &mut Scrape, state: &State) {
     let counts = &state.counts;
     let reasons = [
         ("sample_too_large_or_many", counts.samples_dropped_total),

@@ -71,7 +71,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let mut report = report.map_err(anyhow::Error::from)?;
     report.summary.elapsed_s = start.elapsed().as_secs_f64();
     if args.json {
-        super::json(&report, terminal)?;
+        super::common::json(&report, terminal)?;
     } else {
         terminal.print(&render(&report, live::detail(args.verbose)));
         if let Some(endings) = endings {

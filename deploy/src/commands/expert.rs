@@ -92,7 +92,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     }
     if args.json {
         let timed = Timed { report: &report, steps_per_second, n_threads };
-        super::json(&timed, terminal)?;
+        super::common::json(&timed, terminal)?;
     } else {
         terminal.print(render_expert(&report, live::detail(args.verbose)).trim_end());
         terminal.print(&format!("{steps_per_second:.0} steps/s on {n_threads} threads, planning included"));

@@ -7,7 +7,7 @@ use blueprints::Catalog;
 use learner::{Mailbox, Source};
 use proto::{ActorId, Trajectory, Valid, Weights};
 
-use super::actor_setup;
+use super::services::actor_setup;
 use crate::config::Config;
 
 /// A source of trajectories that equal seeds make equal, byte for byte.

@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::goals::Goals;
 use super::models::Source;
-use super::{join_bus, services};
+use super::{common::join_bus, services};
 use crate::cli::PlayArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;

@@ -4,26 +4,20 @@ mod live;
 mod recordings;
 mod shares;
 
-use std::borrow::Cow;
-use std::ffi::{OsStr, OsString};
-use std::path::PathBuf;
-use std::sync::Arc;
-
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalog};
 use evaluator::{Policy, PolicyError};
 use render::picture::encode;
 use render::video::{AttentionVideo, Episode, EpisodeAttention, Video, attention_strip, gif, mp4, strip};
 
 use super::files::write_files;
-use super::goals;
 use super::models::Source;
 use crate::cli::{RenderArgs, VideoFormat};
-use crate::config::nearest;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
 pub(super) use live::run as run_live;
+use recordings::{Goals, Named};
+use shares::attention;
 
 /// Scenes in a strip, which fill two rows together with the goal, and scenes in an attention strip.
 const N_STRIP_SCENES: usize = 7;
@@ -31,9 +25,6 @@ const N_STRIP_MOMENTS: usize = 5;
 
 /// Palette size of a strip, which should be small enough to keep in a repository.
 const STRIP_COLORS: usize = 96;
-
-/// The name of a video and its episode.
-type Named = (OsString, Episode);
 
 /// Runs the subcommand. Reads every file before it makes the first video.
 ///
@@ -47,39 +38,6 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
         return shares::write(&episodes, policy, args, terminal);
     }
     make_all(&episodes, args, policy.as_ref(), terminal)
-}
-
-/// The catalog of goals, and the goals to show.
-struct Goals {
-    catalog: Arc<Catalog>,
-    /// The named goals; if empty, all are shown.
-    chosen: Vec<BlueprintId>,
-}
-
-impl Goals {
-    fn new(args: &RenderArgs) -> Result<Self, Failure> {
-        if let Some(path) = &args.path {
-            return Ok(Self { catalog: Arc::new(Catalog::load(path)?), chosen: Vec::new() });
-        }
-        let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
-        let chosen = goals.ids().to_vec();
-        Ok(Self { catalog: goals.catalog().clone(), chosen })
-    }
-
-    /// Whether episodes with this goal are shown.
-    fn are_shown(&self, id: &BlueprintId) -> bool {
-        self.chosen.is_empty() || self.chosen.contains(id)
-    }
-
-    /// Finds the blueprint, or explains why it is missing.
-    fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
-        let catalog = &self.catalog;
-        catalog.find(id).ok_or_else(|| {
-            let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
-            let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
-            format!("its goal `{id}` is not in the catalog{like}; name its file with --blueprint")
-        })
-    }
 }
 
 /// The policy whose attention is shown.
@@ -115,25 +73,18 @@ fn make_all(
     Ok(())
 }
 
-fn attention<'e>(policy: &Policy, name: &OsStr, episode: &'e Episode) -> Result<EpisodeAttention<'e>, Failure> {
-    EpisodeAttention::new(policy, episode)
-        .map_err(|error| Failure::Recording { files: name.display().to_string(), reason: error.to_string() })
-}
-
 /// Renders an episode. Returns the extension of the file name and the file's bytes.
 fn make(episode: &Episode, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
+    let (width, fps) = match args.format {
+        VideoFormat::Mp4 => (960, 30),
+        VideoFormat::Gif => (640, 10),
+        VideoFormat::PngStrip => (1200, 1),
+    };
+    let (width, fps) = (args.width.unwrap_or(width), args.fps.unwrap_or(fps));
     Ok(match args.format {
-        VideoFormat::Mp4 => {
-            let fps = args.fps.unwrap_or(30);
-            ("mp4", mp4(Video::new(episode, args.width.unwrap_or(960)).frames(fps), fps)?)
-        }
-        VideoFormat::Gif => {
-            let fps = args.fps.unwrap_or(10);
-            ("gif", gif(Video::new(episode, args.width.unwrap_or(640)).frames(fps), fps)?)
-        }
-        VideoFormat::PngStrip => {
-            ("png", encode(&strip(episode, N_STRIP_SCENES, args.width.unwrap_or(1200)), STRIP_COLORS)?)
-        }
+        VideoFormat::Mp4 => ("mp4", mp4(Video::new(episode, width).frames(fps), fps)?),
+        VideoFormat::Gif => ("gif", gif(Video::new(episode, width).frames(fps), fps)?),
+        VideoFormat::PngStrip => ("png", encode(&strip(episode, N_STRIP_SCENES, width), STRIP_COLORS)?),
     })
 }
 

@@ -46,7 +46,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
     write_files(&out, &files)?;
     if args.json {
-        return super::json(&summary(args, &passes, &grid, &out, &files), stdout);
+        return super::common::json(&summary(args, &passes, &grid, &out, &files), stdout);
     }
     let what = format!("{} of {}", count(passes.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
     terminal.print(&format!("{} ({what}):", name(&args.run)));

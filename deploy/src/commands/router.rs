@@ -4,7 +4,7 @@ use bus::{BusConfig, BusMode, SecurityConfig};
 use proto::Valid;
 use tokio_util::sync::CancellationToken;
 
-use super::join_bus;
+use super::common::join_bus;
 use crate::cli::RouterArgs;
 use crate::config::ConfigError;
 use crate::exit::Failure;

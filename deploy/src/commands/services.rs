@@ -20,7 +20,7 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::stage::stage;
-use super::{best, join_bus, models, serve};
+use super::{best, common::join_bus, models, serve};
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;

@@ -59,7 +59,7 @@ pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: Cancell
     }
     let table = Table::of(&plan, &folder)?;
     if args.json {
-        super::json(&table, terminal)?;
+        super::common::json(&table, terminal)?;
     } else {
         terminal.print(&format!("\n{}", table.render()));
     }

@@ -1,31 +1,37 @@
 //! `train`: learner, actors, and evaluator in this process, on its own bus.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 use actor::ActorSetup;
+use blueprints::Catalog;
 use blueprints::outside::as_text;
+use bus::Bus;
 use dashboard::{About, Farewell, Page};
-use evaluator::{EvaluatorSetup, Stop};
-use learner::{Arrivals, Source};
+use evaluator::{EvaluationProgress, EvaluatorSetup, Stop};
+use learner::{Arrivals, LearnerSetup, RunOptions, Source};
 use proto::keys::Role;
-use proto::metrics::EvalSummary;
-use proto::{ActorId, Valid};
+use proto::metrics::{EvalReport, EvalSummary, LearnerMetrics};
+use proto::{ActorId, Valid, Weights};
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
-use tokio::task::JoinSet;
+use tokio::task::{JoinError, JoinHandle, JoinSet};
 use tokio_util::sync::CancellationToken;
 
-use super::goals::TrainingGoals;
+use super::common::{configure, join_bus, json, origin};
+use super::goals::{TrainingGoals, tell_choices};
 use super::in_process::InProcess;
-use super::{join_bus, serve, services};
+use super::runtime::on_runtime;
+use super::{serve, services};
 use crate::cli::{Settings, TrainArgs};
-use crate::config::{Config, Preset};
+use crate::config::{Config, Override, Preset};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
 use crate::run_dir::{Origin, RunDir};
 use crate::shell::{self, program};
+use crate::signals;
 
 /// Name of this process's actor and evaluator, unlike those of processes that join.
 const LOCAL: &str = "local";
@@ -46,6 +52,42 @@ pub(super) struct Summary {
     evaluation: Option<EvalSummary>,
 }
 
+/// Runs `train`.
+///
+/// # Errors
+/// When the settings, the goals, or the run to continue cannot be used, and those of [`run`].
+pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failure> {
+    let listen = (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
+    let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
+    let lockstep = args.lockstep.then(|| Override::flag("--lockstep", "lockstep", true));
+    let keys = args.keys.overrides("router").filter(|_| !args.listen.is_empty());
+    let given = [listen, actors, lockstep, keys, args.page.overrides()];
+    let said = if args.json { terminal.on_stderr() } else { terminal.clone() };
+    let origin = origin(&args.run, &args.config, &said)?;
+    if let (Some(run), false) = (&origin.checkpoint, args.blueprint.is_empty()) {
+        return Err(Failure::Usage(format!(
+            "--blueprint: the run in {} goes on with the goals that it began with; for others, start a run with \
+             `--init-from {} --blueprint …`",
+            run.display(),
+            shell::path(run)
+        )));
+    }
+    tell_choices(&args.blueprint, &said)?;
+    let goals = TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
+    let flags = args.run.overrides().into_iter().chain(goals.settings());
+    let flags = flags.chain(given.into_iter().flatten()).collect();
+    let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
+        return Ok(());
+    };
+    on_runtime(async |shutdown| {
+        if args.end_with_stdin {
+            signals::cancel_with_stdin(shutdown.clone());
+        }
+        let summary = run(&settings, args, &goals, origin, &said, shutdown).await?;
+        if args.json { json(&summary, terminal) } else { Ok(()) }
+    })
+}
+
 /// Trains until the configured number of steps is reached, a service fails, or `shutdown`.
 ///
 /// # Errors
@@ -58,19 +100,10 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<Summary, Failure> {
-    let (config, start, catalog) = (&settings.config, Instant::now(), goals.catalog());
-    services::check_evaluator(config, catalog)?;
-    let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
-    // Bind the page before writing anything, because the address may be taken.
-    let page = page(config, args, terminal).await?;
-    let health = Reporter::start("train", args.health.health_file.as_deref())?;
-    let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, &origin)?;
-    let preset = run_dir.preset().map(str::to_owned);
-    let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
-    let about = About { preset, ..services::about(settings, catalog, last_words) };
-    let page = page.map(|page| services::Opened { page, about, first: None });
+    let start = Instant::now();
+    let config = &settings.config;
+    let Prepared { setup, run_dir, page, health } = prepare(settings, args, goals.catalog(), &origin, terminal).await?;
     terminal.print(&introduction(settings, &origin, &run_dir));
-    let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
     let joined = join_bus(&config.part(|config| &config.bus), &shutdown).await.inspect_err(|_| run_dir.abandon())?;
     let Some(bus) = joined else {
         run_dir.abandon();
@@ -78,73 +111,17 @@ pub(super) async fn run(
     };
     goals.keep(run_dir.paths())?;
     health.joined(&bus);
-    let (told, metrics) = watch::channel(None);
-    let actors = bus.alive(Role::Actor).await?;
-    let (reports, evaluated) = watch::channel(None);
-    let (whole, shown, its_reports) = (config.clone(), terminal.clone(), evaluated.clone());
-    let learning = tokio::spawn(async move { live::show_learning(metrics, actors, its_reports, shown, &whole).await });
-    let evaluating = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
-    let (progress, counted) = watch::channel(None);
-    let (tell, last) = watch::channel(None);
-    let learner_is_done = {
-        let last = last.clone();
-        move || last.borrow().is_some()
-    };
-    let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
-
-    let mut running = JoinSet::new();
+    let (views, channels) = Views::open(&bus, config, args, terminal).await?;
     let source: Box<dyn Source> = match config.lockstep {
-        true => Box::new(InProcess::new(config, catalog.clone())),
+        true => Box::new(InProcess::new(config, goals.catalog().clone())),
         false => Box::new(Arrivals::default()),
     };
-    let options = services::run_options(setup, config, &run_dir, origin.checkpoint, source, told);
-    let evaluator = EvaluatorSetup {
-        catalog: catalog.clone(),
-        ..services::evaluator_setup(config, LOCAL.to_owned(), Some(run_dir.path()))
-    };
-    let (learned, its_summary) = oneshot::channel();
-    let stop = Stop { now: shutdown.clone(), last: Some(last.clone()) };
-    let training = shutdown.child_token();
-    let learner = services::learner(options, bus.clone(), training.clone());
-    let folder = run_dir.path().to_owned();
-    let (interrupted, told) = (shutdown.clone(), config.evaluator.evaluate_last.then(|| terminal.clone()));
-    running.spawn(async move {
-        let Some(report) = learner.await? else {
-            return Err(Failure::NothingWritten(folder));
-        };
-        if let Some(terminal) = told.filter(|_| !interrupted.is_cancelled()) {
-            terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
-        }
-        tell.send_replace(Some(report.weights.clone()));
-        // The receiver may be gone after another service failed.
-        drop(learned.send(report));
-        Ok(())
-    });
-    if !config.lockstep {
-        let actor = ActorSetup { catalog: catalog.clone(), ..services::actor_setup(config, id) };
-        // The learner's lines and bar count all actors.
-        let told = watch::channel(None).0;
-        running.spawn(services::actor(actor, bus.clone(), told, training.clone()));
-    }
-    running.spawn(services::evaluator(evaluator, reports, progress, page, bus.clone(), stop));
-    let mut ended = Ok(());
-    while let Some(service) = running.join_next().await {
-        // Any service that ends, even without an error, ends the run, because the others have nothing to do without it.
-        // Only the evaluator may still have work: the last evaluation.
-        training.cancel();
-        let result = service.map_err(|panic| Failure::Service(panic.into())).flatten();
-        ended = ended.and(result);
-        if !(config.evaluator.evaluate_last && last.borrow().is_some() && ended.is_ok()) {
-            shutdown.cancel();
-        }
-    }
+    let options = |metrics| services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
+    let services = Services { config, catalog: goals.catalog(), bus: &bus, folder: run_dir.path(), terminal, shutdown };
+    let ended = services.run(options, channels, page).await;
     bus.close().await;
-    let panicked = |panic: tokio::task::JoinError| Failure::Service(panic.into());
-    learning.await.map_err(panicked)?;
-    counting.await.map_err(panicked)?;
-    let evaluation = evaluating.await.map_err(panicked)?;
-    ended?;
-    let learner = its_summary.await.map_err(|error| Failure::Service(error.into()))?;
+    let evaluation = views.close().await?;
+    let learner = ended?;
     let is_complete = learner.n_env_steps >= config.n_env_steps;
     terminal.print(&farewell(&run_dir, is_complete));
     Ok(Summary {
@@ -155,6 +132,169 @@ pub(super) async fn run(
         learner,
         evaluation: evaluation.map(|report| report.summary.clone()),
     })
+}
+
+/// What a training has before it joins its bus.
+struct Prepared {
+    setup: LearnerSetup,
+    run_dir: RunDir,
+    page: Option<services::Opened>,
+    health: Reporter,
+}
+
+async fn prepare(
+    settings: &Settings,
+    args: &TrainArgs,
+    catalog: &Arc<Catalog>,
+    origin: &Origin,
+    terminal: &Terminal,
+) -> Result<Prepared, Failure> {
+    let config = &settings.config;
+    services::check_evaluator(config, catalog)?;
+    let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
+    // Bind the page before writing anything, because the address may be taken.
+    let page = page(config, args, terminal).await?;
+    let health = Reporter::start("train", args.health.health_file.as_deref())?;
+    let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, origin)?;
+    let preset = run_dir.preset().map(str::to_owned);
+    let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
+    let about = About { preset, ..services::about(settings, catalog, last_words) };
+    let page = page.map(|page| services::Opened { page, about, first: None });
+    Ok(Prepared { setup, run_dir, page, health })
+}
+
+/// The tasks that print what the services report.
+struct Views {
+    learning: JoinHandle<()>,
+    evaluations: JoinHandle<Option<Arc<EvalReport>>>,
+    progress: JoinHandle<()>,
+}
+
+/// Where the services report to.
+struct Channels {
+    metrics: watch::Sender<Option<LearnerMetrics>>,
+    reports: watch::Sender<Option<Arc<EvalReport>>>,
+    progress: watch::Sender<Option<EvaluationProgress>>,
+    /// The weights that the learner ends with.
+    last: watch::Sender<Option<Arc<Weights>>>,
+}
+
+impl Views {
+    async fn open(
+        bus: &Bus,
+        config: &Valid<Config>,
+        args: &TrainArgs,
+        terminal: &Terminal,
+    ) -> Result<(Self, Channels), Failure> {
+        let actors = bus.alive(Role::Actor).await?;
+        let (metrics, updates) = watch::channel(None);
+        let (reports, evaluated) = watch::channel(None);
+        let (progress, counted) = watch::channel(None);
+        let (last, ended) = watch::channel(None);
+        let learning = {
+            let (reports, terminal, config) = (evaluated.clone(), terminal.clone(), config.clone());
+            async move { live::show_learning(updates, actors, reports, terminal, &config).await }
+        };
+        let learner_is_done = move || ended.borrow().is_some();
+        let views = Self {
+            learning: tokio::spawn(learning),
+            evaluations: tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose))),
+            progress: tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done)),
+        };
+        Ok((views, Channels { metrics, reports, progress, last }))
+    }
+
+    /// Waits until all is printed, and returns the last report.
+    async fn close(self) -> Result<Option<Arc<EvalReport>>, Failure> {
+        self.learning.await.map_err(panicked)?;
+        self.progress.await.map_err(panicked)?;
+        self.evaluations.await.map_err(panicked)
+    }
+}
+
+/// The services of a training.
+struct Services<'t> {
+    config: &'t Valid<Config>,
+    catalog: &'t Arc<Catalog>,
+    bus: &'t Bus,
+    /// The run's folder.
+    folder: &'t Path,
+    terminal: &'t Terminal,
+    shutdown: CancellationToken,
+}
+
+impl Services<'_> {
+    /// Runs all of them until each has ended.
+    async fn run(
+        self,
+        options: impl FnOnce(watch::Sender<Option<LearnerMetrics>>) -> RunOptions,
+        channels: Channels,
+        page: Option<services::Opened>,
+    ) -> Result<learner::Summary, Failure> {
+        let Channels { metrics, reports, progress, last } = channels;
+        let last_weights = last.subscribe();
+        // Ends what needs the learner; the evaluator may still have the last weights to evaluate.
+        let training = self.shutdown.child_token();
+        let (summary, learned) = oneshot::channel();
+        let mut running = JoinSet::new();
+        running.spawn(self.learner(options(metrics), last, summary, training.clone()));
+        if !self.config.lockstep {
+            let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
+            let setup = ActorSetup { catalog: self.catalog.clone(), ..services::actor_setup(self.config, id) };
+            // The learner's lines and bar count all actors.
+            let metrics = watch::channel(None).0;
+            running.spawn(services::actor(setup, self.bus.clone(), metrics, training.clone()));
+        }
+        let stop = Stop { now: self.shutdown.clone(), last: Some(last_weights.clone()) };
+        let setup = EvaluatorSetup {
+            catalog: self.catalog.clone(),
+            ..services::evaluator_setup(self.config, LOCAL.to_owned(), Some(self.folder))
+        };
+        running.spawn(services::evaluator(setup, reports, progress, page, self.bus.clone(), stop));
+        let mut ended = Ok(());
+        while let Some(service) = running.join_next().await {
+            // Any service that ends, even without an error, ends the run, because the others have nothing to do without
+            // it. Only the evaluator may still have work: the last evaluation.
+            training.cancel();
+            ended = ended.and(service.map_err(panicked).flatten());
+            let is_evaluated = self.config.evaluator.evaluate_last && last_weights.borrow().is_some() && ended.is_ok();
+            if !is_evaluated {
+                self.shutdown.cancel();
+            }
+        }
+        ended?;
+        learned.await.map_err(|error| Failure::Service(error.into()))
+    }
+
+    /// The learner, which sends the weights that it ends with to `last` and its summary to `summary`.
+    fn learner(
+        &self,
+        options: RunOptions,
+        last: watch::Sender<Option<Arc<Weights>>>,
+        summary: oneshot::Sender<learner::Summary>,
+        training: CancellationToken,
+    ) -> impl Future<Output = Result<(), Failure>> + use<> {
+        let learner = services::learner(options, self.bus.clone(), training);
+        let folder = self.folder.to_owned();
+        let interrupted = self.shutdown.clone();
+        let terminal = self.config.evaluator.evaluate_last.then(|| self.terminal.clone());
+        async move {
+            let Some(report) = learner.await? else {
+                return Err(Failure::NothingWritten(folder));
+            };
+            if let Some(terminal) = terminal.filter(|_| !interrupted.is_cancelled()) {
+                terminal.print("the last weights are evaluated now; Ctrl-C ends without that");
+            }
+            last.send_replace(Some(report.weights.clone()));
+            // The receiver may be gone after another service failed.
+            drop(summary.send(report));
+            Ok(())
+        }
+    }
+}
+
+fn panicked(panic: JoinError) -> Failure {
+    Failure::Service(panic.into())
 }
 
 /// Serves the page at the configured address, or else on a free port, where a failure is only logged.

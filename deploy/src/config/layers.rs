@@ -2,10 +2,7 @@
 
 use std::ffi::OsString;
 
-use super::{Config, ConfigError, Preset};
-
-/// Name of the base of a file that overrides the plain defaults.
-pub const NO_BASE: &str = "none";
+use super::{Config, ConfigError, NO_BASE, Preset};
 
 /// Settings that are variables without a section.
 pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
@@ -158,6 +155,17 @@ impl std::fmt::Display for Base {
             Self::Defaults => f.write_str("the plain defaults"),
             Self::Preset(preset) => write!(f, "the preset `{}`", preset.name),
         }
+    }
+}
+
+impl Config {
+    /// Parses a file's text and applies it to the defaults, unless it names another base. `origin` names the file in
+    /// errors.
+    ///
+    /// # Errors
+    /// Names the line of an unknown key, with the nearest known one, or of a value of the wrong type.
+    pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
+        merge(text, origin, Base::Defaults, &[])
     }
 }
 

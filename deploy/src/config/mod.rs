@@ -23,7 +23,7 @@ use proto::{CanonicalSettings, InvalidSetting, Valid, settings};
 pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
-pub use layers::{Base, NO_BASE, Override, merge};
+pub use layers::{Base, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 pub use variables::check_variables;
 
@@ -37,6 +37,9 @@ const MAX_FILE_BYTES: u64 = 1 << 20;
 pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
     outside::read_text(path, MAX_FILE_BYTES).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
 }
+
+/// Name of the base of a file that overrides the plain defaults.
+pub const NO_BASE: &str = "none";
 
 /// Largest seed, because TOML's integers are signed.
 pub(crate) const MAX_SEED: u64 = i64::MAX as u64;
@@ -74,15 +77,6 @@ settings! {
 }
 
 impl Config {
-    /// Parses a file's text and applies it to the defaults, unless it names another base. `origin` names the file in
-    /// errors.
-    ///
-    /// # Errors
-    /// Names the line of an unknown key, with the nearest known one, or of a value of the wrong type.
-    pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        merge(text, origin, Base::Defaults, &[])
-    }
-
     /// The whole tree as a file, including defaults. The file names `none` as its base, because anything that it lacks,
     /// such as the table of a disabled feature, is absent on purpose.
     ///

@@ -3,13 +3,14 @@
 use std::f32::consts::TAU;
 
 use blueprints::{BlockIdx, Blueprint, Inventory, Placement};
-use nalgebra::{Isometry3, Translation3, Vector3};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proto::Joint;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-use super::{Draft, Footprint, half_size, symmetric, yaw_of};
+use super::draft::{Draft, symmetric};
+use super::footprint::Footprint;
 
 /// Maximum offset of a structure from the origin in x and in y, m.
 const MAX_OFFSET_M: f32 = 0.2;
@@ -20,7 +21,7 @@ pub(super) fn stand(blueprint: &Blueprint, kept: &[BlockIdx], rng: &mut ChaCha8R
     let n = placements.len().max(1) as f32;
     let middle: Vector3<f32> = placements.iter().map(|p| p.position_m()).sum::<Vector3<f32>>() / n;
     let bottom = placements.iter().map(|p| bottom_half_units(p)).min().unwrap_or(0) as f32 * blueprints::UNIT_M / 2.0;
-    let yaw = yaw_of(rng.random_range(0.0..TAU));
+    let yaw = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..TAU));
     let origin = Vector3::new(symmetric(rng, MAX_OFFSET_M), symmetric(rng, MAX_OFFSET_M), 0.0);
     let mut draft = Draft::default();
     for placement in placements {
@@ -78,7 +79,7 @@ fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
         let center = placements.iter().map(|p| volume(p) * p.center_half_units[axis] as f32).sum::<f32>() / mass;
         let lowest = placements.iter().filter(|p| Some(bottom_half_units(p)) == bottom);
         let edges = lowest.map(|p| {
-            let half = half_size(p.block, p.rotation)[axis];
+            let half = p.size_cells(Inventory::standard())[axis];
             (p.center_half_units[axis] - half, p.center_half_units[axis] + half)
         });
         let (low, high) = edges.fold((i32::MAX, i32::MIN), |(low, high), (l, h)| (low.min(l), high.max(h)));
@@ -87,5 +88,5 @@ fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
 }
 
 fn bottom_half_units(placement: &Placement) -> i32 {
-    placement.center_half_units[2] - half_size(placement.block, placement.rotation)[2]
+    placement.center_half_units[2] - placement.size_cells(Inventory::standard())[2]
 }

@@ -6,6 +6,7 @@
 
 mod histogram;
 mod member;
+mod script;
 mod tally;
 
 use std::sync::Arc;
@@ -13,15 +14,14 @@ use std::time::Duration;
 
 use anyhow::Context;
 use bus::{Bus, BusConfig};
-use proto::codec::encode_trajectory;
 use proto::{Trajectory, Valid};
 use serde::{Deserialize, Serialize};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use self::histogram::Histogram;
 use self::member::Member;
+use self::script::Script;
 use self::tally::Tally;
 pub(super) use self::tally::{LoadCounts, LoadReport};
 
@@ -52,18 +52,6 @@ pub(super) struct Load {
     members: Vec<Arc<Member>>,
     /// Why fewer joined than planned.
     shortfall: Option<String>,
-}
-
-/// What all actors of a process send, and when.
-#[derive(Debug)]
-pub(super) struct Script {
-    segments: Vec<Trajectory>,
-    /// Encoded size of each segment, with a name and numbers of typical length.
-    n_bytes: Vec<usize>,
-    /// Number of steps before each segment; `n_steps` is the total.
-    steps_before: Vec<u64>,
-    n_steps: u64,
-    steps_per_s: f64,
 }
 
 impl Load {
@@ -159,47 +147,6 @@ impl Load {
         for member in &self.members {
             member.close().await;
         }
-    }
-}
-
-impl Script {
-    fn new(segments: Vec<Trajectory>, steps_per_s: f64) -> anyhow::Result<Self> {
-        anyhow::ensure!(!segments.is_empty(), "there are no segments to send");
-        let mut n_steps = 0;
-        let mut steps_before = Vec::with_capacity(segments.len());
-        for segment in &segments {
-            steps_before.push(n_steps);
-            n_steps += segment.transitions.len() as u64;
-        }
-        let n_bytes = segments.iter().map(|segment| encode_trajectory(segment).len()).collect();
-        Ok(Self { segments, n_bytes, steps_before, n_steps, steps_per_s })
-    }
-
-    fn n_bytes(&self, seq: u64) -> usize {
-        self.n_bytes[(seq % self.n_bytes.len() as u64) as usize]
-    }
-
-    /// Returns the segment with this sequence number; segments repeat in order.
-    fn segment(&self, seq: u64) -> &Trajectory {
-        &self.segments[(seq % self.segments.len() as u64) as usize]
-    }
-
-    /// Returns the time from the start until an actor has stepped the segment with this number; `None` at full speed.
-    fn due(&self, seq: u64) -> Option<Duration> {
-        let n_segments = self.segments.len() as u64;
-        let index = (seq % n_segments) as usize;
-        let steps =
-            seq / n_segments * self.n_steps + self.steps_before[index] + self.segments[index].transitions.len() as u64;
-        (self.steps_per_s > 0.0).then(|| Duration::from_secs_f64(steps as f64 / self.steps_per_s))
-    }
-
-    /// Returns how much later than others an actor starts, which spreads the actors evenly over the time of one
-    /// segment.
-    fn phase(&self, number: usize) -> Duration {
-        const GOLDEN_RATIO: f64 = 0.618_033_988_749_894_9;
-        let mean_period = self.n_steps as f64 / self.segments.len() as f64 / self.steps_per_s;
-        let share = (number as f64 * GOLDEN_RATIO).fract();
-        if self.steps_per_s > 0.0 { Duration::from_secs_f64(share * mean_period) } else { Duration::ZERO }
     }
 }
 

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::{CheckpointError, damaged, io};
+use super::format::{CheckpointError, damaged, io};
 
 /// Prefix of a checkpoint's folder name; its number of environment steps follows.
 pub(super) const STEP: &str = "step-";

@@ -7,7 +7,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensors, serialize};
 use serde::{Deserialize, Serialize};
 
-use super::CheckpointError;
+use super::format::CheckpointError;
 
 /// Name and shape of one parameter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

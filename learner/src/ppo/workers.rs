@@ -7,9 +7,13 @@ use burn::tensor::Device;
 use policy::parameters::ParameterError;
 use policy::{Engine, PolicyConfig};
 
-use super::PIECE_SIZE;
 use super::passes::{Evaluation, GradientPass, Passes, Targets};
 use crate::batch::Batch;
+
+/// Samples per pass through the network, which bounds its memory: on a CPU, a pass with gradients keeps about 230 kB per
+/// sample. A minibatch is split into equal pieces of about this size, the threads share the pieces, and their gradients
+/// are summed.
+pub(crate) const PIECE_SIZE: usize = 128;
 
 /// One set of networks per thread. Each has its own buffers, and in burn, gradients of graphs that share a tensor would
 /// block each other.

@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{FixedRate, LearnerConfig, LrSchedule, Objective};
 use crate::fixtures::{blueprint_id, random_trajectory};
-use crate::ppo::PIECE_SIZE;
+use crate::ppo::workers::PIECE_SIZE;
 use crate::{Learner, LearnerSetup, Model};
 
 /// Returns a setup with a network like the paper's, but small enough for tests that take seconds.

@@ -2,18 +2,17 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use blueprints::outside::as_text;
 use bus::Pulse;
 use proto::metrics::{BusCounts, IngestCounts, LearnerMetrics, METRICS_SCHEMA_VERSION};
 use proto::{Weights, WeightsVersion};
-use runlog::{MetricsWriter, RunPaths};
+use runlog::{Lines, MetricsWriter, RunPaths};
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::saving::Saving;
 use crate::config::CheckpointConfig;
 use crate::learner::Learner;
 use crate::mailbox::MailboxCounts;
@@ -69,6 +68,30 @@ pub(crate) struct Output {
     pub(crate) clock: Clock,
     /// The learner's newest weights.
     pub(crate) newest: Arc<Weights>,
+}
+
+/// What is on disk, and what is not yet.
+#[derive(Debug)]
+pub(crate) struct Saving {
+    /// Time of the last checkpoint of this process, or of its start, in milliseconds since 1970.
+    pub(super) saved_unix_ms: u64,
+    /// The last checkpoint of this process.
+    pub(super) checkpoint: Option<PathBuf>,
+    /// The line of the newest update, until it is written.
+    pub(super) line: Option<Lines>,
+    /// The points of the newest update, until they are written.
+    pub(super) scalars: Option<(u64, Vec<(String, f64)>)>,
+    /// Whether a checkpoint is due.
+    pub(super) is_due: bool,
+    /// The newest update's metrics.
+    pub(super) metrics: Option<LearnerMetrics>,
+}
+
+impl Default for Saving {
+    fn default() -> Self {
+        let saved_unix_ms = unix_ms();
+        Self { saved_unix_ms, checkpoint: None, line: None, scalars: None, is_due: false, metrics: None }
+    }
 }
 
 /// The clock of a run.
@@ -185,6 +208,12 @@ impl Output {
             not_saved: None,
         }
     }
+}
+
+/// Returns the milliseconds since 1970; 0 if the clock is earlier.
+pub(super) fn unix_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Returns how many steps the next update takes if `n_left` are left of the run: `per_update`, but the last two updates

@@ -1,13 +1,13 @@
 //! Saving, and waiting for a disk that takes nothing.
 
 use std::path::PathBuf;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use proto::keys;
 use proto::metrics::{LearnerMetrics, NotSaved};
 use runlog::{Lines, tensorboard};
 
-use super::Output;
+use super::output::{Output, unix_ms};
 use crate::checkpoint;
 use crate::learner::Learner;
 
@@ -16,30 +16,6 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Metrics without TensorBoard curves: constants, those with one curve per blueprint, and what is no measurement.
 const UNPLOTTED: [&str; 4] = ["schema_version", "task_probabilities", "success_by_blueprint", "not_saved"];
-
-/// What is on disk, and what is not yet.
-#[derive(Debug)]
-pub(crate) struct Saving {
-    /// Time of the last checkpoint of this process, or of its start, in milliseconds since 1970.
-    saved_unix_ms: u64,
-    /// The last checkpoint of this process.
-    checkpoint: Option<PathBuf>,
-    /// The line of the newest update, until it is written.
-    line: Option<Lines>,
-    /// The points of the newest update, until they are written.
-    scalars: Option<(u64, Vec<(String, f64)>)>,
-    /// Whether a checkpoint is due.
-    is_due: bool,
-    /// The newest update's metrics.
-    pub(super) metrics: Option<LearnerMetrics>,
-}
-
-impl Default for Saving {
-    fn default() -> Self {
-        let saved_unix_ms = unix_ms();
-        Self { saved_unix_ms, checkpoint: None, line: None, scalars: None, is_due: false, metrics: None }
-    }
-}
 
 impl Output {
     /// Saves the metrics of the newest update and, if one is due, a checkpoint; returns whether one was due. If
@@ -175,10 +151,4 @@ impl Output {
         let lost = format!("the last checkpoint, of {n_env_steps} environment steps and weights {version}, is lost");
         anyhow::Error::new(error).context(format!("{lost}; {newest}"))
     }
-}
-
-/// Returns the milliseconds since 1970; 0 if the clock is earlier.
-fn unix_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }

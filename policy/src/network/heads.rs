@@ -3,7 +3,6 @@
 use burn::module::Module;
 use burn::tensor::{Tensor, activation};
 
-use super::MoveTensors;
 use super::layers::{Builder, Linear, Projection};
 use crate::config::{MIN_STD, MoveHead, NetworkConfig};
 use crate::features::FeatureSizes;
@@ -15,6 +14,15 @@ const N: usize = blueprints::N_BLOCKS;
 
 /// Entries of a move.
 const MOVE: usize = 6;
+
+/// Gaussians of the moves of B scenes.
+#[derive(Clone, Debug)]
+pub struct MoveTensors {
+    /// Means `[B, 16, 6]`, fractions of the speed limits.
+    pub locs: Tensor<3>,
+    /// Standard deviations `[B, 16, 6]`, above 0.
+    pub scales: Tensor<3>,
+}
 
 /// Maps node and global vectors to the action distribution.
 #[derive(Module, Debug)]

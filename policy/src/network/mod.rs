@@ -11,7 +11,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
 pub use gat::{FoldedGat, GatEncoder};
-pub use heads::{PolicyHead, ValueHead};
+pub use heads::{MoveTensors, PolicyHead, ValueHead};
 pub use layers::{LayerNorm, Linear, Projection};
 pub use resnet::ResnetEncoder;
 pub(crate) use tensors::listed_index;
@@ -57,15 +57,6 @@ pub struct NetworkOutput {
     pub readouts: Option<Tensor<3>>,
     /// Logits of recorded draws from the mixture head; `None` for the Gaussian head, or if no draws were given.
     pub draws: Option<DrawLogits>,
-}
-
-/// Gaussians of the moves of B scenes.
-#[derive(Clone, Debug)]
-pub struct MoveTensors {
-    /// Means `[B, 16, 6]`, fractions of the speed limits.
-    pub locs: Tensor<3>,
-    /// Standard deviations `[B, 16, 6]`, above 0.
-    pub scales: Tensor<3>,
 }
 
 impl NetworkOutput {

@@ -1,15 +1,47 @@
-//! Converts evaluations to rows and back.
+//! Evaluations as rows.
 
 use std::collections::BTreeMap;
 
 use blueprints::{BlueprintId, Split};
-use proto::metrics::{EvalBlueprint, EvalOutcome, EvalResetFree, EvalRuns, METRICS_SCHEMA_VERSION};
+use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport, EvalResetFree, EvalRuns, METRICS_SCHEMA_VERSION};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, InvalidActionMode, RewardTerms, WeightsVersion};
 use rusqlite::types::Type;
 use rusqlite::{Connection, Error, Result, Row, TransactionBehavior, params};
 
-use super::Pass;
+/// One evaluation of frozen weights, as stored in the history.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pass {
+    /// End time, milliseconds since 1970.
+    pub ended_unix_ms: u64,
+    /// Duration, seconds.
+    pub elapsed_s: f64,
+    /// Version of the evaluated weights.
+    pub weights_version: WeightsVersion,
+    /// Environment steps that the learner had consumed when it published the weights.
+    pub n_env_steps: u64,
+    /// Seed of the start states.
+    pub seed: u64,
+    /// Results by blueprint, ordered by split, size, and id.
+    pub blueprints: Vec<EvalBlueprint>,
+    /// Reset-free runs, if there were any.
+    pub reset_free: Option<EvalResetFree>,
+}
+
+impl Pass {
+    /// Selects the stored parts of a report; `ended_unix_ms` is in milliseconds since 1970.
+    pub fn new(report: &EvalReport, ended_unix_ms: u64) -> Self {
+        Self {
+            ended_unix_ms,
+            elapsed_s: report.summary.elapsed_s,
+            weights_version: report.summary.weights_version,
+            n_env_steps: report.summary.n_env_steps,
+            seed: report.summary.seed,
+            blueprints: report.blueprints.clone(),
+            reset_free: report.summary.reset_free.clone(),
+        }
+    }
+}
 
 const INSERT_PASS: &str = "INSERT INTO pass (ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed)
     VALUES (?1, ?2, ?3, ?4, ?5)";

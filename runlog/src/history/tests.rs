@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
 use blueprints::Split;
-use proto::metrics::{EvalOutcome, EvalRuns};
+use proto::metrics::{EvalOutcome, EvalResetFree, EvalRuns};
 
 use super::samples::{outcome, pass};
 use super::*;

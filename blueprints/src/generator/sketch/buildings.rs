@@ -1,7 +1,7 @@
 //! Towers, walls, arches, bridges, stairs, and pyramids. Each function accepts the volume in cells and draws the other
 //! dimensions.
 
-use super::Sketch;
+use super::shape::Sketch;
 use crate::generator::dice::Dice;
 
 /// Footprints of a tower from the ground up, each centered on the one below.

@@ -1,6 +1,6 @@
 //! Tables, rings, and crosses. Each function accepts the volume in cells and draws the other dimensions.
 
-use super::Sketch;
+use super::shape::Sketch;
 use crate::generator::dice::Dice;
 
 /// Draws a plate on legs, walls, or a pedestal. Two plates form a shelf, a back makes a bench, and any remaining volume

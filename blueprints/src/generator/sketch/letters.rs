@@ -1,6 +1,6 @@
 //! Capital letters, standing or lying, with strokes of one or two cells.
 
-use super::Sketch;
+use super::shape::Sketch;
 use crate::generator::dice::Dice;
 
 /// Letters on a grid of three columns and five rows, top row first. Strokes run down the outer columns in this list and

@@ -1,7 +1,7 @@
 //! Structures that are as long or as tall as the stock and the checks allow: one or two cells wide, with plates where a
 //! line has room for them.
 
-use super::Sketch;
+use super::shape::Sketch;
 use crate::generator::brick::Stock;
 use crate::generator::dice::Dice;
 

@@ -1,6 +1,6 @@
 //! A long row with ribs, shorter than the record styles: it puts blocks far apart without the held-out shapes.
 
-use super::Sketch;
+use super::shape::Sketch;
 use crate::generator::dice::Dice;
 
 /// Maximum length of a row in cells. The shortest structure of style `longest` in the catalog has 25.

@@ -8,7 +8,7 @@ use ratatui::text::Line;
 use super::controls::Order;
 use super::drops::total;
 use super::format::{age, count, rate};
-use super::{alarm, columns, heading, plain};
+use super::styled::{alarm, columns, heading, plain};
 use crate::run_view::{Actor, Link, RunView};
 
 /// Width of an actor's name in characters.

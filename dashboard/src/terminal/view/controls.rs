@@ -3,7 +3,7 @@
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::text::Line;
 
-use super::{columns, heading, plain};
+use super::styled::{columns, heading, plain};
 
 /// Lines of the previous page that stay visible after paging.
 const KEPT_LINES: usize = 1;

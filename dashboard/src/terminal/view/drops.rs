@@ -7,7 +7,7 @@ use ratatui::text::Line;
 use serde::Serialize;
 
 use super::format::count;
-use super::{heading, plain};
+use super::styled::{heading, plain};
 use crate::run_view::{RunView, counters};
 
 /// Counters of trajectories that the learner received but did not drop.

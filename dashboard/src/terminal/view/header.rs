@@ -5,8 +5,17 @@ use std::time::Duration;
 use ratatui::text::Line;
 
 use super::format::{age, span};
-use super::{Source, alarm, heading, plain};
+use super::styled::{alarm, heading, plain};
 use crate::run_view::{Link, RunView, waits};
+
+/// The watched run, as named on the command line.
+#[derive(Clone, Debug)]
+pub(crate) struct Source {
+    /// Name of the run.
+    pub(crate) run: String,
+    /// Endpoints of the router.
+    pub(crate) endpoints: Vec<String>,
+}
 
 /// Returns two lines, a third if the learner cannot save, and one with the other runs on the router if this run is empty.
 pub(super) fn lines(run: &RunView, source: &Source, now: Duration) -> Vec<Line<'static>> {

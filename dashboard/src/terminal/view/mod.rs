@@ -5,22 +5,23 @@ mod controls;
 mod drops;
 mod format;
 mod header;
+mod styled;
 mod success;
 mod training;
 mod trends;
 
 use std::time::Duration;
 
-use blueprints::outside::printable;
 use ratatui::Frame;
-use ratatui::style::Style;
 use ratatui::text::{Line, Text};
 
 use crate::run_view::RunView;
 
 pub(crate) use controls::{Controls, ends};
+pub(crate) use header::Source;
 
 use controls::Part;
+use styled::plain;
 
 /// Width of plain text in characters.
 const TEXT_WIDTH: usize = 80;
@@ -30,15 +31,6 @@ const DROPS_HEIGHT: usize = 3;
 
 /// Minimum height of the actors section: heading, column names and one actor.
 const ACTORS_HEIGHT: usize = 3;
-
-/// The watched run, as named on the command line.
-#[derive(Clone, Debug)]
-pub(crate) struct Source {
-    /// Name of the run.
-    pub(crate) run: String,
-    /// Endpoints of the router.
-    pub(crate) endpoints: Vec<String>,
-}
 
 /// Minimum screen height for which the footer is drawn.
 const FOOTER_FROM: usize = 8;
@@ -97,27 +89,6 @@ fn overview(run: &RunView, now: Duration, width: usize, height: usize) -> Vec<Li
     lines.extend(actors::lines(run, now, rest.saturating_sub(drops.len())));
     lines.extend(drops);
     lines
-}
-
-/// Names in messages can be anything.
-fn shown(text: String) -> String {
-    printable(&text).into_owned()
-}
-
-fn plain(text: String) -> Line<'static> {
-    Line::from(shown(text))
-}
-
-fn heading(text: String) -> Line<'static> {
-    Line::styled(shown(text), Style::new().bold())
-}
-
-fn columns(text: String) -> Line<'static> {
-    Line::styled(shown(text), Style::new().dim())
-}
-
-fn alarm(text: String) -> Line<'static> {
-    Line::styled(shown(text), Style::new().red().bold())
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use ratatui::text::Line;
 
 use super::controls::Order;
 use super::format::{age, count, name, success};
-use super::{columns, heading, plain};
+use super::styled::{columns, heading, plain};
 use crate::run_view::RunView;
 
 /// Formats the newest evaluation in lines of `width` characters.

@@ -4,7 +4,8 @@ use proto::metrics::{KindMetrics, ProposalMetrics};
 use ratatui::text::Line;
 
 use super::format::{count, number, rate, seconds, success};
-use super::{heading, plain, trends};
+use super::styled::{heading, plain};
+use super::trends;
 use crate::run_view::{RunView, proposals};
 
 /// Formats the learner's newest metrics, fitted to `width` characters where lines can get long.

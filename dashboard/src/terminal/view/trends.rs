@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use ratatui::text::Line;
 
 use super::format::number;
-use super::{columns, heading, plain};
+use super::styled::{columns, heading, plain};
 use crate::run_view::RunView;
 
 /// Bars, lowest to highest.

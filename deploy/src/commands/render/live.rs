@@ -9,9 +9,10 @@ use render::video::{Collector, Episode};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::super::join_bus;
-use super::{Goals, Named, make_all, policy};
+use super::recordings::{Goals, Named};
+use super::{make_all, policy};
 use crate::cli::{LiveArgs, RenderArgs};
+use crate::commands::common::join_bus;
 use crate::exit::Failure;
 use crate::live::Terminal;
 

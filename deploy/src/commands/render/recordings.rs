@@ -1,23 +1,63 @@
-//! Reads episodes from files of recorded trajectories.
+//! The episodes to show, and how to read them from files of recorded trajectories.
 
+use std::borrow::Cow;
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use blueprints::catalog::is_hidden;
-use blueprints::{BlueprintId, outside};
+use blueprints::{Blueprint, BlueprintId, Catalog, outside};
 use proto::codec::{MAX_RECORDING_BYTES, PROTOCOL_VERSION, decode_recording};
 use proto::{DecodeError, Trajectory};
 use render::video::{Episode, is_same_episode};
 use runlog::RunPaths;
 
-use super::{Goals, Named};
+use crate::cli::RenderArgs;
+use crate::commands::goals;
+use crate::config::nearest;
 use crate::exit::Failure;
 use crate::run_dir::check_exists;
 
 /// File extension of recordings.
 const KIND: &str = "trajectory";
+
+/// The name of a video and its episode.
+pub(super) type Named = (OsString, Episode);
+
+/// The catalog of goals, and the goals to show.
+pub(super) struct Goals {
+    catalog: Arc<Catalog>,
+    /// The named goals; if empty, all are shown.
+    chosen: Vec<BlueprintId>,
+}
+
+impl Goals {
+    pub(super) fn new(args: &RenderArgs) -> Result<Self, Failure> {
+        if let Some(path) = &args.path {
+            return Ok(Self { catalog: Arc::new(Catalog::load(path)?), chosen: Vec::new() });
+        }
+        let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
+        let chosen = goals.ids().to_vec();
+        Ok(Self { catalog: goals.catalog().clone(), chosen })
+    }
+
+    /// Whether episodes with this goal are shown.
+    pub(super) fn are_shown(&self, id: &BlueprintId) -> bool {
+        self.chosen.is_empty() || self.chosen.contains(id)
+    }
+
+    /// Finds the blueprint, or explains why it is missing.
+    pub(super) fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
+        let catalog = &self.catalog;
+        catalog.find(id).ok_or_else(|| {
+            let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
+            let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
+            format!("its goal `{id}` is not in the catalog{like}; name its file with --blueprint")
+        })
+    }
+}
 
 /// The segments of one episode and the files that they come from.
 struct Recording {

@@ -1,11 +1,12 @@
 //! `render --attention … --table`: what each head attends to, over many episodes.
 
+use std::ffi::OsStr;
 use std::fmt::Write;
 
 use evaluator::Policy;
-use render::video::Shares;
+use render::video::{Episode, EpisodeAttention, Shares};
 
-use super::{Named, attention};
+use super::recordings::Named;
 use crate::cli::RenderArgs;
 use crate::commands::files::write_files;
 use crate::exit::Failure;
@@ -63,4 +64,14 @@ pub(super) fn write(
         episodes.len()
     ));
     Ok(())
+}
+
+/// Returns what `policy` attends to in an episode.
+pub(super) fn attention<'e>(
+    policy: &Policy,
+    name: &OsStr,
+    episode: &'e Episode,
+) -> Result<EpisodeAttention<'e>, Failure> {
+    EpisodeAttention::new(policy, episode)
+        .map_err(|error| Failure::Recording { files: name.display().to_string(), reason: error.to_string() })
 }

@@ -74,7 +74,7 @@ impl Plan {
     /// # Errors
     /// Names the axis that cannot be read, or the key or value of a point that no training would take.
     pub(super) fn of(args: &SweepArgs, terminal: &crate::live::Terminal) -> Result<Option<Self>, Failure> {
-        let Some(base) = crate::commands::configure(&args.config, None, flags(args), terminal)? else {
+        let Some(base) = crate::commands::common::configure(&args.config, None, flags(args), terminal)? else {
             return Ok(None);
         };
         if args.grid.is_empty() && args.seeds.is_none() && args.random.is_none() {

@@ -13,7 +13,7 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use super::Script;
+use super::script::Script;
 use super::tally::{LoadCounts, Tally};
 use crate::actors::weights::Moment;
 

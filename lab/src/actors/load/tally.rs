@@ -6,7 +6,7 @@ use parking_lot::{Mutex, MutexGuard};
 use proto::Trajectory;
 use serde::{Deserialize, Serialize};
 
-use super::Histogram;
+use super::histogram::Histogram;
 use crate::actors::weights::Moment;
 
 /// Results of segments. Each segment that was started is in exactly one of `acked_total`, `stale_total`,

@@ -1,0 +1,48 @@
+//! Where a block of a structure is.
+
+use crate::{BlockIdx, CubeRotation, Inventory, RelativePlacement, UNIT_M};
+
+/// One block of a blueprint on the lattice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Placement {
+    /// The block of the inventory.
+    pub block: BlockIdx,
+    /// Center in half units (0.05 m), blueprint frame, z up; the lowest cell rests on z = 0.
+    pub center_half_units: [i32; 3],
+    /// Orientation in the blueprint frame.
+    pub rotation: CubeRotation,
+}
+
+impl Placement {
+    /// Returns the center in meters, blueprint frame.
+    pub fn position_m(&self) -> nalgebra::Vector3<f32> {
+        nalgebra::Vector3::from(self.center_half_units.map(|x| x as f32 * (UNIT_M / 2.0)))
+    }
+
+    /// Returns the size in unit cells along the blueprint's axes.
+    pub fn size_cells(&self, inventory: &Inventory) -> [i32; 3] {
+        self.rotation.apply(inventory.cells(self.block).map(i32::from)).map(i32::abs)
+    }
+
+    /// Returns the unit cells that the block fills, each as its lowest corner in units, in increasing order.
+    pub fn filled_cells(&self, inventory: &Inventory) -> Vec<[i32; 3]> {
+        let size = self.size_cells(inventory);
+        let low: [i32; 3] = std::array::from_fn(|k| (self.center_half_units[k] - size[k]) / 2);
+        let mut cells = Vec::new();
+        for x in low[0]..low[0] + size[0] {
+            for y in low[1]..low[1] + size[1] {
+                cells.extend((low[2]..low[2] + size[2]).map(|z| [x, y, z]));
+            }
+        }
+        cells
+    }
+}
+
+impl RelativePlacement {
+    /// Returns the pose of `b` relative to `a`.
+    pub fn between(a: &Placement, b: &Placement) -> Self {
+        let to_a = a.rotation.inverse();
+        let offset = std::array::from_fn(|i| b.center_half_units[i] - a.center_half_units[i]);
+        Self { offset_half_units: to_a.apply(offset), rotation: to_a.compose(b.rotation) }
+    }
+}
