@@ -8,9 +8,14 @@ default:
 ci:
     .ci/run
 
-# Run all steps, whatever changed.
+# Run all steps, whatever changed, and those that are too slow for a change.
 nightly:
     CI_CHANGED_SINCE= .ci/run
+    .ci/run release
+
+# Lint the workflows.
+workflows:
+    .ci/run workflows
 
 # Check the formatting.
 fmt:
