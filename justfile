@@ -8,9 +8,18 @@ default:
 ci:
     .ci/run
 
-# Run all steps, whatever changed.
+# Run all steps, whatever changed, and those that are too slow for a change.
 nightly:
     CI_CHANGED_SINCE= .ci/run
+    .ci/run book release
+
+# Make a book of the pages, and check its links; needs the network for mdBook.
+book:
+    .ci/run book
+
+# Lint the workflows.
+workflows:
+    .ci/run workflows
 
 # Check the formatting.
 fmt:

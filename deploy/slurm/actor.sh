@@ -36,6 +36,9 @@ is_over() {
     [[ -n $stopping || -e $folder/finished || -e $folder/stop ]]
 }
 
+threads=$LODESTONE_SLURM_ACTOR_CPUS
+# An actor has at most 64 threads.
+[[ $threads != node ]] || threads=$((SLURM_CPUS_ON_NODE < 64 ? SLURM_CPUS_ON_NODE : 64))
 id=$(actor_id)
 poll_s=${LODESTONE_SLURM_POLL_S:-10}
 config=$folder/run/config.toml
@@ -50,7 +53,7 @@ while ! is_over; do
     fi
     say "$id connects to $endpoint"
     "$LODESTONE_SLURM_BINARY" actor --config "$config" --device cpu --connect "$endpoint" --keys "$folder/keys" --id "$id" \
-        --set "actor.n_threads=$LODESTONE_SLURM_ACTOR_CPUS" &
+        --set "actor.n_threads=$threads" &
     actor=$!
     while is_alive "$actor" && ! is_over && [[ $(endpoint_of "$folder") == "$endpoint" ]]; do
         nap "$poll_s"

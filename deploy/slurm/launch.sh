@@ -25,6 +25,7 @@ launch() {
     else
         echo "a new run of ${config:-$preset} in $folder"
     fi
+    [[ -n $hetjob ]] || respect_limit
     prepare
     if [[ -n $hetjob ]]; then submit_hetjob; else submit_jobs; fi
     [[ -n $dry_run ]] || cat <<TEXT
@@ -49,7 +50,11 @@ find_binary() {
 
 collect_sbatch_options() {
     learner_sbatch=("--cpus-per-task=$learner_cpus" "--signal=B:USR1@$save_lead_s" "${learner_sbatch[@]}")
-    actor_sbatch=("--cpus-per-task=$actor_cpus" "${actor_sbatch[@]}")
+    if [[ $actor_cpus == node ]]; then
+        actor_sbatch=(--exclusive "${actor_sbatch[@]}")
+    else
+        actor_sbatch=("--cpus-per-task=$actor_cpus" "${actor_sbatch[@]}")
+    fi
     [[ -z $gpu ]] || learner_sbatch=(--gres=gpu:1 "${learner_sbatch[@]}")
     [[ -z $learner_partition ]] || learner_sbatch=("--partition=$learner_partition" "${learner_sbatch[@]}")
     [[ -z $actor_partition ]] || actor_sbatch=("--partition=$actor_partition" "${actor_sbatch[@]}")
@@ -93,6 +98,30 @@ settings() {
     declare -p LODESTONE_SLURM_HOME LODESTONE_SLURM_BINARY LODESTONE_SLURM_LEARNER LODESTONE_SLURM_EVALUATOR \
         LODESTONE_SLURM_INTERFACE LODESTONE_SLURM_ACTORS LODESTONE_SLURM_ACTOR_CPUS LODESTONE_SLURM_PROTOCOL \
         LODESTONE_SLURM_PORTS
+}
+
+# Prints how many jobs this user may have in the queue, if Slurm says so: the most of all accounts, within what the
+# cluster can hold. A tighter limit, such as that of a QOS, is for sbatch to name.
+most_jobs() {
+    {
+        sacctmgr --noheader --parsable2 show assoc where "user=$(id -un)" format=MaxSubmitJobs |
+            awk '$0 == "" { endless = 1 } $0 + 0 > most { most = $0 + 0 } END { if (!endless && most) print most }'
+        scontrol show config | sed -n 's/^MaxJobCount *= *//p'
+    } 2>/dev/null | sort -n | head -n 1 || true
+}
+
+# Leaves out the actors for which there is no room in the queue. Each task of an array counts as a job.
+respect_limit() {
+    local most queued room
+    most=$(most_jobs)
+    [[ $most =~ ^[0-9]+$ ]] || return 0
+    queued=$(squeue --noheader --array --user="$(id -un)" --format=%i 2>/dev/null | wc -l)
+    room=$((most - queued - 1))
+    ((room < n_actors)) || return 0
+    ((room > 0)) || die 1 "you may have $most jobs in the queue and have $queued: cancel some, or wait for them"
+    echo "you may have $most jobs in the queue and have $queued: $room actors of $n_actors are submitted;" \
+        "with --actor-cpus node, one fills a node"
+    n_actors=$room
 }
 
 submit_jobs() {

@@ -299,6 +299,10 @@ pub struct LearnerArgs {
     /// The run.
     #[command(flatten)]
     pub run: RunArgs,
+    /// Exit with 75 if a signal ends the learner before the run has its steps, for a supervisor that takes 0 for the end
+    /// of the run.
+    #[arg(long, env = "LODESTONE_FAIL_UNFINISHED")]
+    pub fail_unfinished: bool,
 }
 
 /// Arguments of `evaluator`.

@@ -137,6 +137,9 @@ pub enum Failure {
         /// What a process needs.
         needed: u64,
     },
+    /// A signal ended a learner that was asked to say so; code 75.
+    #[error("stopped before the run's {0} environment steps; what was learned is saved")]
+    Unfinished(u64),
     /// A service failed while running; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
@@ -225,6 +228,7 @@ impl Failure {
             Self::Bus(_) => 65,
             Self::Diverged(_) => 67,
             Self::FewFiles { .. } => 71,
+            Self::Unfinished(_) => 75,
             Self::Service(_) | Self::Unhealthy(_) | Self::Output(_) => 1,
             Self::Interrupted { .. } | Self::NothingWritten(_) => INTERRUPTED,
         })

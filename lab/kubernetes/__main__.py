@@ -18,25 +18,26 @@ from pathlib import Path
 
 from ..ring.checks import Tally, require, require_none
 from ..ring.processes import ROOT, demand, run
-from . import broken, pods, program, rules, secrets
+from . import broken, operators, pods, program, rules, secrets
 from .manifests import FOLDER, Object, invalid, parse, quantity, render, workloads
 from .network import policies
 
 EXAMPLE = ROOT / "docs/kubernetes.md"
 
 
-def documented(kind: str) -> str:
-    """Returns the first YAML block of this kind in the document."""
+def documented() -> str:
+    """Returns the Kustomization in the document."""
     # In a list, the block and its closing fence are indented.
-    blocks = re.findall(r"^ *```yaml\n(.*?)^ *```", EXAMPLE.read_text(), flags=re.DOTALL | re.MULTILINE)
-    return textwrap.dedent(next(block for block in blocks if f"kind: {kind}\n" in block))
+    [block] = re.findall(r"^ *```yaml\n(.*?)^ *```", EXAMPLE.read_text(), flags=re.DOTALL | re.MULTILINE)
+    return textwrap.dedent(block)
 
 
 def folders(scratch: Path) -> dict[str, Path]:
     """Returns what is rendered: the overlays, and folders beside the repository as the document tells users to make."""
     (scratch / "lodestone").symlink_to(ROOT, target_is_directory=True)
-    second = "namespace: second\nresources: [../lodestone/deploy/kubernetes/overlays/thousands]\n"
-    for name, text in (("my-run", documented("Kustomization")), ("second", second)):
+    here = "../lodestone/deploy/kubernetes"
+    second = f"namespace: second\nresources: [{here}/overlays/thousands]\ncomponents: [{here}/components/monitoring]\n"
+    for name, text in (("my-run", documented()), ("second", second)):
         (scratch / name).mkdir()
         (scratch / name / "kustomization.yaml").write_text(text)
     found = {path.name: path for path in sorted((FOLDER / "overlays").iterdir())}
@@ -68,9 +69,12 @@ def no_secrets() -> Iterable[str]:
             yield f"{path} is a secret, or looks like one"
 
 
+CHECKS = (rules.complaints, operators.complaints, policies, program.resolved, invalid)
+
+
 def offline(objects: list[Object]) -> Iterable[str]:
     """Returns all complaints that need no program, those of the slow schemas last."""
-    return chain.from_iterable(check(objects) for check in (rules.complaints, policies, program.resolved, invalid))
+    return chain.from_iterable(check(objects) for check in CHECKS)
 
 
 def judge(tally: Tally, kubectl: str, binary: Path, scratch: Path) -> None:
@@ -84,12 +88,12 @@ def judge(tally: Tally, kubectl: str, binary: Path, scratch: Path) -> None:
         tally.check(f"{name}: valid, and by the rules", lambda: require_none(offline(objects)))
         tally.check(f"{name}: the program takes it", lambda: require_none(program.accepted(objects, binary, keys)))
         tally.check(f"{name}: is what it is for", lambda: purpose(name, objects))
-    tally.check("the documented pod that copies is valid", lambda: require_none(invalid(parse(documented("Pod")))))
+    tally.check("the pod that copies is valid", lambda: require_none(invalid(parse((FOLDER / "copy.yaml").read_text()))))
     for mistake in broken.MISTAKES:
-        tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["thousands"], mistake, offline))
+        tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["second"], mistake, offline))
     accepted = partial(program.accepted, binary=binary, keys=keys)
     for mistake in broken.FOR_THE_PROGRAM:
-        tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["thousands"], mistake, accepted))
+        tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["second"], mistake, accepted))
     made = list(secrets.make(kubectl, keys).values())
     tally.check("secrets.sh: Secrets are valid", lambda: require_none(invalid(made)))
     for what, check in secrets.CHECKS.items():

@@ -9,6 +9,10 @@ from .manifests import Object, of_kind
 
 POD = "spec.template.spec"
 BOX = f"{POD}.containers.0"
+JOB = "spec.replicatedJobs.0"
+LEARNER = f"{JOB}.template.spec.template.spec"
+FAILURES = f"{JOB}.template.spec.podFailurePolicy.rules"
+ALERT = "spec.groups.0.rules.0"
 NOTHING = {"matchLabels": {"a": "b"}}
 
 
@@ -26,12 +30,12 @@ MISTAKES = [
     Mistake("a field that no schema has", "Deployment", "actor", f"{POD}.tolerance", []),
     Mistake("a word where a number belongs", "Deployment", "actor", "spec.revisionHistoryLimit", "many"),
     Mistake("no readiness", "Deployment", "router", f"{BOX}.readinessProbe", None),
-    Mistake("liveness that asks for a connection", "StatefulSet", "learner", f"{BOX}.livenessProbe.exec.command.2", None),
-    Mistake("a request below what was measured", "StatefulSet", "learner", f"{BOX}.resources.requests.memory", "100Mi"),
+    Mistake("liveness that asks for a connection", "Deployment", "actor", f"{BOX}.livenessProbe.exec.command.2", None),
+    Mistake("a request below what was measured", "JobSet", "run", f"{LEARNER}.containers.0.resources.requests.memory", "100Mi"),
     Mistake("a capability", "Deployment", "router", f"{BOX}.securityContext.capabilities", {"add": ["NET_ADMIN"]}),
     Mistake("a service account's token", "Deployment", "actor", f"{POD}.automountServiceAccountToken", None),
     Mistake("a folder of the node", "Deployment", "actor", f"{POD}.volumes.0", {"name": "tmp", "hostPath": {"path": "/"}}),
-    Mistake("two learners", "StatefulSet", "learner", "spec.replicas", 2),
+    Mistake("two learners", "JobSet", "run", f"{JOB}.replicas", 2),
     Mistake("an actor that is called evaluator", "Deployment", "actor", f"{BOX}.args.0", "evaluator"),
     Mistake("a selector that matches nothing", "Deployment", "actor", "spec.selector", NOTHING),
     Mistake("the router's keys in an actor", "Deployment", "actor", f"{POD}.volumes.1.secret.secretName", "keys-router"),
@@ -40,15 +44,25 @@ MISTAKES = [
     Mistake("a ConfigMap that is not there", "Deployment", "actor", f"{BOX}.envFrom.0.configMapRef.name", "run"),
     Mistake("a Service for nobody", "Service", "router", "spec.selector", {"app": "router"}),
     Mistake("a page for the whole Internet", "Service", "evaluator", "spec.type", "LoadBalancer"),
-    Mistake("a budget for nobody", "PodDisruptionBudget", "learner", "spec.selector", NOTHING),
+    Mistake("a router that autoscalers move", "Deployment", "router", "spec.template.metadata.annotations", {}),
+    Mistake("a field that no JobSet has", "JobSet", "run", "spec.parallelism", 1),
+    Mistake("a field that no Job has", "JobSet", "run", f"{JOB}.template.spec.replicas", 1),
+    Mistake("a run that never ends", "JobSet", "run", "spec.successPolicy.targetReplicatedJobs", ["actor"]),
+    Mistake("a drain that ends the run", "JobSet", "run", f"{LEARNER}.containers.0.args.2", None),
+    Mistake("a learner that is given up when it is drained", "JobSet", "run", f"{FAILURES}.1.onExitCodes.values", [1]),
+    Mistake("a monitor of another port", "PodMonitor", "evaluator", "spec.podMetricsEndpoints.0.port", "bus"),
+    Mistake("a monitor of all pods", "PodMonitor", "evaluator", "spec.selector", {}),
+    Mistake("an alert with a misspelled field", "PrometheusRule", "run", f"{ALERT}.expression", "1"),
+    Mistake("an alert that nobody can read", "PrometheusRule", "run", f"{ALERT}.expr", "up =="),
+    Mistake("an alert on what is not measured", "PrometheusRule", "run", f"{ALERT}.expr", "lodestone_learner_speed == 0"),
     Mistake("a priority that is not there", "Deployment", "actor", f"{POD}.priorityClassName", "none"),
     Mistake("no denial by default", "NetworkPolicy", "default-deny", "spec.policyTypes.1", None),
     Mistake("a router that is open to all", "NetworkPolicy", "router", "spec.ingress.0.from", None),
-    Mistake("clients without DNS", "NetworkPolicy", "clients", "spec.egress.1", None),
-    Mistake("clients that reach all", "NetworkPolicy", "clients", "spec.egress.1.to.1.ipBlock.cidr", "0.0.0.0/0"),
+    Mistake("clients without DNS", "NetworkPolicy", "clients", "spec.egress.2", None),
+    Mistake("clients that reach all", "NetworkPolicy", "clients", "spec.egress.2.to.1.ipBlock.cidr", "0.0.0.0/0"),
     Mistake("a router on another port", "Deployment", "router", f"{BOX}.ports.0.containerPort", 7448),
     Mistake("a variable that is set twice", "Deployment", "actor", f"{BOX}.env.1.name", "LODESTONE_CONNECT"),
-    Mistake("a variable that is not there", "StatefulSet", "learner", f"{BOX}.args.1", "--steps=$(STEPS)"),
+    Mistake("a variable that is not there", "JobSet", "run", f"{LEARNER}.containers.0.args.3", "--steps=$(STEPS)"),
 ]
 # What only the program itself notices.
 FOR_THE_PROGRAM = [

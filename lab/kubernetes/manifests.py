@@ -6,6 +6,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import kubernetes_validate
 import yaml
 
@@ -17,8 +18,8 @@ FOLDER = ROOT / "deploy" / "kubernetes"
 COMPONENT = "app.kubernetes.io/component"
 ROLES = ("router", "learner", "actor", "evaluator")
 
-# The oldest and the newest Kubernetes whose schemas the validator has.
-VERSIONS = ("1.25.0", "1.37.0")
+# The oldest Kubernetes that decides by a pod's exit code without a feature gate, and the newest that the validator knows.
+VERSIONS = ("1.31.0", "1.37.0")
 
 UNITS: dict[str, Decimal | int] = {"": 1, "m": Decimal("0.001"), "Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 
@@ -33,9 +34,28 @@ def parse(text: str) -> list[Object]:
     return [document for document in yaml.safe_load_all(text) if document]
 
 
+def closed(schema: Any) -> Any:
+    """Returns a schema that allows no other properties than those it lists."""
+    if isinstance(schema, list):
+        return [closed(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    same = {key: closed(part) for key, part in schema.items()}
+    return {"type": "object", "additionalProperties": False, **same} if "properties" in schema else same
+
+
+# Those of custom resources, which the validator does not know.
+SCHEMAS = closed(yaml.safe_load(Path(__file__).with_name("schemas.yaml").read_text()))
+
+
 def invalid(objects: list[Object]) -> Iterator[str]:
-    """Yields what the schemas of each version refuse, unknown fields included."""
-    for thing in objects:
+    """Yields what the schemas refuse, those of each version of Kubernetes, unknown fields included."""
+    for thing in of_kind(objects, *SCHEMAS):
+        for error in jsonschema.Draft202012Validator(SCHEMAS[thing["kind"]]).iter_errors(thing):
+            yield f"{shown(thing)}: {error.json_path}: {error.message}"
+    head = {"apiVersion": "batch/v1", "kind": "Job"}
+    made = [{**head, "metadata": {"name": job["name"]}, "spec": job["template"]["spec"]} for job in jobs(objects)]
+    for thing in [*made, *(thing for thing in objects if thing["kind"] not in SCHEMAS)]:
         for version in VERSIONS:
             try:
                 kubernetes_validate.validate(thing, version, strict=True)
@@ -47,9 +67,9 @@ def invalid(objects: list[Object]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class Workload:
-    """A Deployment or StatefulSet, with the labels and the `spec` of its pods and their only container."""
+    """A Deployment, or the Job of a JobSet, with the labels and the `spec` of its pods and their only container."""
 
-    object: Object
+    spec: Object
     name: str
     replicas: int
     labels: dict[str, str]
@@ -59,16 +79,22 @@ class Workload:
 
 
 def workloads(objects: list[Object]) -> list[Workload]:
-    """Returns the objects that create pods. No check covers others, such as a Job, so `rules` rejects them."""
+    """Returns what creates pods. No check covers others, such as a StatefulSet, so `rules` rejects them."""
+    specs = [(thing["metadata"]["name"], thing["spec"]) for thing in of_kind(objects, "Deployment")]
+    for job in jobs(objects):
+        specs.append((job["name"], job["template"]["spec"] | {"replicas": job["replicas"]}))
     found = []
-    for thing in of_kind(objects, "Deployment", "StatefulSet"):
-        spec = thing["spec"]
+    for name, spec in specs:
         labels, pod = spec["template"]["metadata"].get("labels", {}), spec["template"]["spec"]
         # One container: no check looks at others.
         [box] = pod.get("initContainers", []) + pod["containers"]
-        name = thing["metadata"]["name"]
-        found.append(Workload(thing, name, int(spec.get("replicas", 1)), labels, labels.get(COMPONENT, ""), pod, box))
+        found.append(Workload(spec, name, int(spec.get("replicas", 1)), labels, labels.get(COMPONENT, ""), pod, box))
     return found
+
+
+def jobs(objects: list[Object]) -> list[Object]:
+    """Returns the Jobs that JobSets are made of."""
+    return [job for thing in of_kind(objects, "JobSet") for job in thing["spec"]["replicatedJobs"]]
 
 
 def of_kind(objects: list[Object], *kinds: str) -> list[Object]:

@@ -34,6 +34,7 @@ EVALUATOR = Peer("evaluator", {COMPONENT: "evaluator"}, ports={"page": 8080})
 CLIENTS = [EVALUATOR, *(Peer(role, {COMPONENT: role}) for role in ("learner", "actor", "viewer"))]
 PROMETHEUS = Peer("a pod of a namespace that was let in", {"app": "prometheus"}, {**OTHER, "lodestone-page": "allowed"})
 NAMES = [Peer("the cluster's DNS", {"k8s-app": "kube-dns"}, SYSTEM), Peer("the node's DNS cache", address="169.254.20.10")]
+OPENSHIFT = Peer("OpenShift's DNS", namespace={"kubernetes.io/metadata.name": "openshift-dns"})
 STRANGERS = [
     Peer("a pod without labels in the namespace"),
     Peer("a pod of another namespace with a role's label", {COMPONENT: "actor"}, OTHER),
@@ -41,14 +42,15 @@ STRANGERS = [
     Peer("the Internet", address="192.0.2.1"),
     Peer("the cloud's metadata", address="169.254.169.254"),
 ]
-PEERS = [ROUTER, *CLIENTS, PROMETHEUS, *NAMES, *STRANGERS]
+PEERS = [ROUTER, *CLIENTS, PROMETHEUS, *NAMES, OPENSHIFT, *STRANGERS]
 BOTH = ("UDP", "TCP")
 ALLOWED = [
     *((client, ROUTER, 7447, protocol) for client in CLIENTS for protocol in BOTH),
     *((client, server, 53, protocol) for client in CLIENTS for server in NAMES for protocol in BOTH),
+    *((client, OPENSHIFT, 5353, protocol) for client in CLIENTS for protocol in BOTH),
     (PROMETHEUS, EVALUATOR, 8080, "TCP"),
 ]
-PORTS = [(7447, "UDP"), (7447, "TCP"), (8080, "TCP"), (53, "UDP"), (53, "TCP"), (443, "TCP"), (80, "TCP"), (22, "TCP")]
+PORTS = [*((port, protocol) for port in (7447, 53, 5353) for protocol in BOTH), *((port, "TCP") for port in (8080, 443, 80, 22))]
 
 
 def is_peer(rule: Object, peer: Peer) -> bool:

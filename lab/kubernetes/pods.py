@@ -15,6 +15,7 @@ from ..ring.checks import Failed, Tally, require, require_none, until
 from ..ring.processes import Process, free_port, plain_environment
 from . import program, secrets
 from .manifests import Object, Workload, of_kind, quantity, workloads
+from .operators import UNFINISHED
 from .rules import PROBES
 
 # The smallest task that needs the whole ring.
@@ -73,8 +74,9 @@ class Pod:
         return True
 
     def stop(self) -> None:
-        """Sends SIGTERM as on pod deletion. The process must exit with 0 in its grace period."""
-        self.process.end(self.workload.pod["terminationGracePeriodSeconds"])
+        """Sends SIGTERM as on pod deletion. The process must exit as it should in its grace period."""
+        code = UNFINISHED if self.workload.role == "learner" else 0
+        self.process.end(self.workload.pod["terminationGracePeriodSeconds"], code)
 
     def learns(self) -> None:
         before = len(records.entries(self.run_dir))

@@ -26,6 +26,8 @@ POD = {
         "seccompProfile": {"type": "RuntimeDefault"},
     },
 }
+# Autoscalers leave such a pod where it is.
+STAYS = {"cluster-autoscaler.kubernetes.io/safe-to-evict": "false", "karpenter.sh/do-not-disrupt": "true"}
 BOX = {"allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}}
 
 
@@ -44,9 +46,8 @@ def complaints(objects: list[Object]) -> Iterator[str]:
     claimed = [volume.get("persistentVolumeClaim", {}) for pod in workloads(objects) for volume in pod.pod.get("volumes", [])]
     wanted = names(objects, "PersistentVolumeClaim")
     yield from different("claims", sorted(claim["claimName"] for claim in claimed if claim), wanted)
-    budgets = [thing["spec"] for thing in of_kind(objects, "PodDisruptionBudget")]
-    kept = sorted((chosen_by(objects, budget["selector"]), budget.get("minAvailable")) for budget in budgets)
-    yield from different("budgets", kept, [(["learner"], 1), (["router"], 1)])
+    # One for a single pod would block `kubectl drain` until somebody deletes that pod.
+    yield from different("budgets", names(objects, "PodDisruptionBudget"), [])
     for service in of_kind(objects, "Service"):
         yield from (f"{shown(service)}: {complaint}" for complaint in reached(objects, service))
 
@@ -74,13 +75,17 @@ def resources(pod: Workload) -> Iterator[str]:
 
 def place(objects: list[Object], pod: Workload) -> Iterator[str]:
     """Checks that there are never two but of actors, and that selectors take their own pods alone."""
-    is_actor, spec = pod.role == "actor", pod.object["spec"]
+    is_actor, is_learner = pod.role == "actor", pod.role == "learner"
     yield from different("more than one", pod.replicas > 1 and not is_actor, False)
-    if pod.object["kind"] == "Deployment":
-        kind = spec.get("strategy", {}).get("type")
-        yield from different("strategy", kind, "RollingUpdate" if is_actor else "Recreate")
-    spreads = [rule.get("labelSelector") for rule in pod.pod.get("topologySpreadConstraints", [])]
-    for selector in (spec["selector"], *spreads):
+    annotations = pod.spec["template"]["metadata"].get("annotations", {})
+    is_moved = any(annotations.get(key) != value for key, value in STAYS.items())
+    yield from different("an autoscaler may move it", is_moved, pod.role not in ("router", "learner"))
+    strategy = None if is_learner else "RollingUpdate" if is_actor else "Recreate"
+    yield from different("strategy", pod.spec.get("strategy", {}).get("type"), strategy)
+    selectors = [rule.get("labelSelector") for rule in pod.pod.get("topologySpreadConstraints", [])]
+    # Kubernetes itself chooses those of a Job.
+    selectors += [] if is_learner else [pod.spec["selector"]]
+    for selector in selectors:
         yield from different("pods of its selector", chosen_by(objects, selector), [pod.name])
     if (priority := pod.pod.get("priorityClassName")) and priority not in names(objects, "PriorityClass"):
         yield f"has the priority {priority}, which is not there"
@@ -94,9 +99,8 @@ def chosen_by(objects: list[Object], selector: Object | None) -> list[str]:
 def volumes(objects: list[Object], pod: Workload) -> Iterator[str]:
     """Checks that a pod mounts what is there at the paths in use, and of the Secrets those of its role alone."""
     chosen = {volume["name"]: volume for volume in pod.pod.get("volumes", [])}
-    there = set(chosen) | {claim["metadata"]["name"] for claim in pod.object["spec"].get("volumeClaimTemplates", [])}
     mounts = {mount["mountPath"]: mount for mount in pod.box.get("volumeMounts", [])}
-    yield from different("volumes", sorted(there), sorted(mount["name"] for mount in mounts.values()))
+    yield from different("volumes", sorted(chosen), sorted(mount["name"] for mount in mounts.values()))
     needed = {"/keys", "/tmp"} | ({"/runs"} if pod.role in ("learner", "evaluator") else set())
     yield from different("mounts", sorted(mounts), sorted(needed))
     yield from different("/keys is read-only", mounts.get("/keys", {}).get("readOnly"), True)

@@ -121,15 +121,15 @@ class Process:
         self.send(signal.SIGKILL)
         self._popen.wait()
 
-    def end(self, grace_s: float) -> None:
-        """Sends SIGTERM. Fails unless the process then ends with 0 in time."""
+    def end(self, grace_s: float, wanted: int = 0) -> None:
+        """Sends SIGTERM. Fails unless the process then ends with the wanted exit code in time."""
         require(self.code is None, f"it had ended before; it said {self.said()}")
         self.send(signal.SIGTERM)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._popen.wait(grace_s)
         code = self.code
         self.kill()
-        require(code == 0, f"{grace_s:.0f} s after SIGTERM its exit code was {code}; it said {self.said()}")
+        require(code == wanted, f"{grace_s:.0f} s after SIGTERM its exit code was {code}; it said {self.said()}")
 
     def said(self) -> str:
         """Returns the end of the log."""

@@ -1,5 +1,11 @@
 """Checks how `lodestone-slurm` reports mistakes, what happens to jobs that cannot work, and one heterogeneous job."""
 
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 from ..ring.checks import until
 from . import conf, queue
 from .training import COMMAND, PARTITIONS, Check, Training
@@ -15,6 +21,44 @@ def a_rehearsal_changes_nothing(training: Training) -> None:
     arrays = [word for line in actors for word in line.split() if word.startswith("--array=")]
     assert arrays == ["--array=0-1000", "--array=0-1000", "--array=0-497"], arrays
     assert not run.folder.exists()
+
+
+def whole_nodes_take_one_actor_each(training: Training) -> None:
+    """With `--actor-cpus node`, an actor has all cores of its node, and steps worlds with as many threads."""
+    run = training.other("whole-nodes")
+    task = ["--preset", "near-goal", "--actors", "1", "--actor-cpus", "node", "--learner-cpus", "2", "--no-evaluator"]
+    run.launch(*task, *PARTITIONS)
+    run.wait("the actor works", 60, lambda: len(run.actors_that_work()) == 1)
+    [words] = run.processes("actor").values()
+    assert "actor.n_threads=3" in words, words
+    assert queue.job(run.actor_job())["NumCPUs"] == "3", queue.job(run.actor_job())
+    run.stop()
+
+
+def a_launch_fits_into_the_queue(training: Training) -> None:
+    """If fewer jobs may be in the queue than actors were asked for, `launch` submits those that fit, and says so."""
+    run = training.other("limited")
+    with accounts("5\n3\n"):
+        printed = run.launch("--actors", "9", "--dry-run")
+        assert "4 actors of 9 are submitted" in printed and "--array=0-3" in printed, printed
+    with accounts("1\n"):
+        code, printed = run.attempt("launch", "--binary", str(run.binary), "--dry-run")
+        assert (code, "cancel some" in printed) == (1, True), printed
+
+
+@contextmanager
+def accounts(limits: str) -> Iterator[None]:
+    """Puts a `sacctmgr` on PATH that prints these limits, one for each account: the cluster here keeps no accounts."""
+    with tempfile.TemporaryDirectory() as folder:
+        fake = Path(folder) / "sacctmgr"
+        fake.write_text(f"#!/bin/sh\nprintf '{limits}'\n")
+        fake.chmod(0o755)
+        path = os.environ["PATH"]
+        os.environ["PATH"] = f"{folder}{os.pathsep}{path}"
+        try:
+            yield
+        finally:
+            os.environ["PATH"] = path
 
 
 def a_run_on_a_gpu_asks_for_one_again(training: Training) -> None:
@@ -34,6 +78,7 @@ def mistakes_are_explained(training: Training) -> None:
     for options, code, hint in [
         ([*launch, "--actors", "none"], 2, "valid is a number"),
         ([*launch, "--actor", "8"], 2, "is no option"),
+        ([*launch, "--actor-cpus", "node", "--hetjob"], 2, "give --actor-cpus a number"),
         ([*launch, "--port", "0"], 2, "valid is a port from 1 to 65535"),
         ([*launch, "--port", "7-6"], 2, "or FIRST-LAST"),
         ([*launch, "--run", "My Run"], 2, "valid are 1 to 64 characters"),
@@ -84,6 +129,8 @@ def a_hetjob_trains(run: Training) -> None:
 
 CHECKS: list[Check] = [
     a_rehearsal_changes_nothing,
+    a_launch_fits_into_the_queue,
+    whole_nodes_take_one_actor_each,
     a_run_on_a_gpu_asks_for_one_again,
     mistakes_are_explained,
     a_learner_that_cannot_work_frees_the_actors,

@@ -136,7 +136,7 @@ fn all_files_name_the_same_version() {
         ("CITATION.cff", format!("version: {expected}\n")),
         ("CHANGELOG.md", format!("## [Unreleased]\n\n## [{expected}] - ")),
         ("deploy/kubernetes/base/pod.yaml", format!("image: lodestone:{expected}\n")),
-        ("deploy/kubernetes/components/gpu/learner.yaml", format!("image: lodestone-gpu:{expected}\n")),
+        ("deploy/kubernetes/components/gpu/learner.yaml", format!("value: lodestone-gpu:{expected}\n")),
     ] {
         assert!(read(&root().join(file)).contains(&line), "{file} does not contain {line:?}");
     }

@@ -91,19 +91,23 @@ pub(super) async fn run_learner(
     let source = Box::new(Arrivals::default());
     let options = run_options(setup, config, &run_dir, origin.checkpoint, source, told);
     let mut shown = None;
+    let mut is_complete = false;
     let ended = on_bus(config, &health, &shutdown, async |bus| {
         let (actors, whole, terminal) = (bus.alive(Role::Actor).await?, config.clone(), terminal.clone());
         // The evaluator shows evaluations.
         let reports = watch::channel(None).1;
         shown =
             Some(tokio::spawn(async move { live::show_learning(metrics, actors, reports, terminal, &whole).await }));
-        learner(options, bus, shutdown.clone()).await.map(drop)
+        let summary = learner(options, bus, shutdown.clone()).await?;
+        is_complete = summary.is_some_and(|summary| summary.n_env_steps >= config.n_env_steps);
+        Ok(())
     })
     .await;
     if let Some(shown) = shown {
         finished(shown).await?;
     }
-    ended
+    ended?;
+    if args.fail_unfinished && !is_complete { Err(Failure::Unfinished(config.n_env_steps)) } else { Ok(()) }
 }
 
 /// Runs `evaluator`: evaluates and prints reports.
