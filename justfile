@@ -79,12 +79,12 @@ launchers:
 
 # Compare speed with burn, jax, torch, and MuJoCo, as in docs/performance.md: `just bench network --rounds 1`.
 bench *ARGS:
-    python3 tests/benches/peers.py --install {{ ARGS }}
+    python3 lab/benches/peers.py --install {{ ARGS }}
 
 # Compare the hot paths' instruction counts with those in the repository; needs valgrind.
 instructions *ARGS:
-    cargo bench --locked -p tests --bench hot_paths --no-run
-    python3 tests/benches/instructions.py "$(ls -t target/release/deps/hot_paths-* | grep -v '\.d$' | head -1)" {{ ARGS }}
+    cargo bench --locked -p lab --bench hot_paths --no-run
+    python3 lab/benches/instructions.py "$(ls -t target/release/deps/hot_paths-* | grep -v '\.d$' | head -1)" {{ ARGS }}
 
 # Build the program for development.
 build:

@@ -83,7 +83,7 @@ def mujoco() -> float | None:
     if importlib.util.find_spec("mujoco") is None:
         print("not run: MuJoCo, as this Python has no module mujoco", file=sys.stderr)
         return None
-    spec = importlib.util.spec_from_file_location("mujoco_peer", ROOT / "environment/benches/mujoco_peer.py")
+    spec = importlib.util.spec_from_file_location("mujoco_peer", ROOT / "lab/benches/mujoco_peer.py")
     peer = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(peer)
     return max(peer.rate("random") for _ in range(N_ROUNDS))

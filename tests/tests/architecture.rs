@@ -24,7 +24,7 @@ const ALLOWED: [(&str, &[&str]); 13] = [
 /// External crates by name prefix, with the only crates that may depend on them.
 const HOMES: [(&str, &[&str]); 12] = [
     ("rapier", &["environment"]),
-    ("burn", &["policy", "learner"]),
+    ("burn", &["policy", "learner", "lab"]),
     ("cubecl", &["policy", "learner"]),
     ("zenoh", &["bus"]),
     // TensorBoard's event files are protobuf, too.

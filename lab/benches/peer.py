@@ -1,7 +1,7 @@
-"""Times the peer networks the same way as `cargo bench -p policy --bench network` times ours.
+"""Times the peer networks the same way as `cargo bench -p lab --bench network` times ours.
 
 Measures CPU time on one thread, takes the best of several rounds, and prints lines in the same format.
-tests/benches/peers.py runs all of them.
+lab/benches/peers.py runs all of them.
 """
 
 import time

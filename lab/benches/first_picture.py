@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Measures the time until `lodestone play` shows a moving structure in a browser.
 
-Usage: python3 tests/benches/first_picture.py PROGRAM [--rounds N] [--driver CHROMEDRIVER]
+Usage: python3 lab/benches/first_picture.py PROGRAM [--rounds N] [--driver CHROMEDRIVER]
 
 Needs Chromium and its driver (Debian: chromium, chromium-driver). The browser runs headless and renders 3D in software,
 so a machine with a GPU is faster. Prints the seconds of every round and the minimum of each column.

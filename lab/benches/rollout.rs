@@ -1,6 +1,6 @@
 //! CPU time of an actor's step and of its parts, in microseconds per environment step.
 //!
-//! `cargo bench -p actor` rolls out 64 worlds on one thread with the default network, untrained. The parts
+//! `cargo bench -p lab --bench rollout` rolls out 64 worlds on one thread with the default network, untrained. The parts
 //! are then timed individually on the scenes of that rollout. The world's time is what remains of the whole, and the
 //! forward pass is what remains of the policy.
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Compares Lodestone with its peers, in turn on one machine, and prints Markdown tables with ratios.
 
-    python3 tests/benches/peers.py --install             # everything, about ten minutes after the builds
-    python3 tests/benches/peers.py network --rounds 1    # one table; or: update, world
+    python3 lab/benches/peers.py --install             # everything, about ten minutes after the builds
+    python3 lab/benches/peers.py network --rounds 1    # one table; or: update, world
 
---install installs the peers listed in tests/benches/requirements.txt into target/python. Without it, they are looked up
+--install installs the peers listed in lab/benches/requirements.txt into target/python. Without it, they are looked up
 in the current Python, and missing peers are left out of their tables. Our side is built in the release profile.
 
 Everything runs on one thread. Each figure is the best of all rounds, per CPU-second, except for the update, which uses
@@ -29,12 +29,12 @@ ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = Path(__file__).with_name("requirements.txt")
 VENV = ROOT / "target/python"
 # Table -> package and benchmark that measure our side.
-BENCHES = {"network": ("policy", "network"), "update": ("learner", "update"), "world": ("environment", "world")}
+BENCHES = ["network", "update", "world"]
 # Peer -> program that measures it and the modules it needs.
 PEERS = {
-    "jax": ("policy/benches/jax_peer.py", ["jax"]),
-    "torch": ("policy/benches/torch_peer.py", ["torch", "safetensors"]),
-    "MuJoCo": ("environment/benches/mujoco_peer.py", ["mujoco", "numpy"]),
+    "jax": ("lab/benches/jax_peer.py", ["jax"]),
+    "torch": ("lab/benches/torch_peer.py", ["torch", "safetensors"]),
+    "MuJoCo": ("lab/benches/mujoco_peer.py", ["mujoco", "numpy"]),
 }
 NETWORK_ROWS = {
     ("forward", 1): "forward, batch 1",
@@ -74,24 +74,23 @@ def install() -> Path:
 
 def build(tables: list[str]) -> dict[str, Path]:
     """Builds the benchmarks of these tables and returns their paths."""
-    packages = [word for table in tables for word in ("-p", BENCHES[table][0])]
-    benches = [word for table in tables for word in ("--bench", BENCHES[table][1])]
-    lines = run("cargo", "bench", "--locked", "--no-run", "--message-format=json", *packages, *benches).splitlines()
+    benches = [word for table in tables for word in ("--bench", table)]
+    command = ["cargo", "bench", "--locked", "--no-run", "--message-format=json", "-p", "lab", *benches]
+    lines = run(*command).splitlines()
     messages = [json.loads(line) for line in lines if line.startswith("{")]
     built = {m["target"]["name"]: m["executable"] for m in messages if m.get("executable")}
-    return {table: Path(built[BENCHES[table][1]]) for table in tables}
+    return {table: Path(built[table]) for table in tables}
 
 
 def newest(folder: Path, tables: list[str]) -> dict[str, Path]:
     """Returns the newest benchmark per table in the folder of an earlier build. Tables without one are left out."""
     found = {}
     for table in tables:
-        name = BENCHES[table][1]
-        programs = [p for p in folder.glob(f"{name}-*") if not p.suffix and os.access(p, os.X_OK)]
+        programs = [p for p in folder.glob(f"{table}-*") if not p.suffix and os.access(p, os.X_OK)]
         if programs:
             found[table] = max(programs, key=lambda p: p.stat().st_mtime)
         else:
-            print(f"not run: {table}, as {folder} has no bench {name}-*\n")
+            print(f"not run: {table}, as {folder} has no bench {table}-*\n")
     return found
 
 

@@ -1,7 +1,7 @@
 //! Control steps per CPU-second of one world.
 //!
-//! `cargo bench -p environment` prints a table. `--json` prints `{case: steps per CPU-second}` for
-//! `tests/benches/peers.py`. The name of a case runs only that case.
+//! `cargo bench -p lab --bench world` prints a table. `--json` prints `{case: steps per CPU-second}` for
+//! `lab/benches/peers.py`. The name of a case runs only that case.
 
 #![allow(clippy::unwrap_used, missing_docs)]
 

@@ -1,6 +1,6 @@
 """Simulates the same 16 blocks in MuJoCo and prints a JSON object: version, and control steps per CPU-second by case.
 
-A control step is 10 substeps of 10 ms, as in this crate's bench `world`. Run by tests/benches/peers.py.
+A control step is 10 substeps of 10 ms, as in this crate's bench `world`. Run by lab/benches/peers.py.
 
 settled: the blocks are left alone. random: two random blocks get a random velocity at each control step.
 held: the 16 blocks are welded into one row (one weld per joint), gravity compensated, and held still.

@@ -1,6 +1,6 @@
 //! Measures the time of a PPO update with the paper's network, in milliseconds per sample and epoch.
 //!
-//! `cargo bench -p learner -- [SAMPLES [THREADS]]`; the default is 1024 samples on one thread.
+//! `cargo bench -p lab --bench update -- [SAMPLES [THREADS]]`; the default is 1024 samples on one thread.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Counts the instructions of the hot paths and reports changes of more than 5%.
 
-Usage: python tests/benches/instructions.py BINARY [--update]
+Usage: python lab/benches/instructions.py BINARY [--update]
 
-BINARY is the path printed by `cargo bench -p tests --bench hot_paths --no-run`. Needs valgrind. Each path runs for one
+BINARY is the path printed by `cargo bench -p lab --bench hot_paths --no-run`. Needs valgrind. Each path runs for one
 round and for three; half the difference is one round, without startup and setup. valgrind has no AVX-512, so the counts
 are for AVX2. They are stored with the compiler version in instructions.json next to this script; --update rewrites the
 file. The exit code is 1 if any count exceeds its limit.

@@ -1,6 +1,6 @@
 //! Forward passes, updates, and decisions of the paper's network in samples per CPU-second, on one thread.
 //!
-//! `cargo bench -p policy`; `tests/benches/peers.py` runs it together with JAX and PyTorch and prints the ratios.
+//! `cargo bench -p lab --bench network`; `lab/benches/peers.py` runs it together with JAX and PyTorch and prints the ratios.
 //! Arguments: `forward`, `update`, or `decide` for one of the three, `burn` to use burn's tensors, `extended` for all
 //! features instead of the paper's. A decision is everything from a scene to an action; it is made with both heads.
 

@@ -2,7 +2,7 @@
 
 The network is the module python/lodestone_torch.py. Besides the speeds, it prints what bounds them: how fast this core
 multiplies two 512 x 512 matrices, and the matrix-product operations per sample, with the paper's features and with the
-learner's default features. Run by tests/benches/peers.py.
+learner's default features. Run by lab/benches/peers.py.
 """
 
 import sys

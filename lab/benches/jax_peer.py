@@ -1,6 +1,6 @@
 """Times the paper's network in JAX on the CPU, folded as in `policy`, and prints samples per CPU-second.
 
-Run by tests/benches/peers.py.
+Run by lab/benches/peers.py.
 """
 
 import os
