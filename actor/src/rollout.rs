@@ -180,10 +180,10 @@ impl<E: Env> Rollout<E> {
     /// Starts an episode in a world with the first task whose blocks find room, as nearly all do.
     fn begin(&mut self, row: usize, mut task_rng: ChaCha8Rng) -> Result<EnvSlot, RolloutError> {
         let setup = &self.setup;
-        let task = self.tasks.sample(&setup.catalog, &mut task_rng);
+        let task = self.tasks.sample(&mut task_rng);
         let retry = |task: &mut Task, _: &ResetError| {
             self.counters.n_failed_resets += 1;
-            *task = self.tasks.sample(&setup.catalog, &mut task_rng);
+            *task = self.tasks.sample(&mut task_rng);
             true
         };
         let task = self.envs.reset(row, task, &setup.catalog, retry)?;

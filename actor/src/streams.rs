@@ -50,7 +50,7 @@ mod tests {
     fn tasks(life: &Life, thread_idx: usize) -> Vec<Task> {
         let sampler = TaskSampler::new(&TaskConfig::default(), Catalog::builtin()).unwrap();
         let mut rng = generator(life.thread_seed(thread_idx), 0);
-        (0..20).map(|_| sampler.sample(Catalog::builtin(), &mut rng)).collect()
+        (0..20).map(|_| sampler.sample(&mut rng)).collect()
     }
 
     #[test]

@@ -2,16 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::generator::{Draws, MAX_DRAWN_SEED, MAX_INDEX, Request, Style};
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::sample_assignment;
 use proto::{Start, Task, Weights, settings};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-
-/// Maximum number of generated structures to try before falling back to a goal of the catalog.
-const MAX_GENERATED: usize = 8;
 
 settings! {
     /// Which training blueprints are goals, and how their episodes begin.
@@ -30,10 +26,6 @@ settings! {
         /// (a scattered start if that is all of them), and the others a uniform number from 1 to that.
         pub near_goal_undone: [u8; 2] = [1, 2],
             in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
-        /// Probability that a generated structure with the same number of blocks replaces the goal (an extension). It
-        /// is seeded like everything else, and never has the shape of a held-out structure, even mirrored, with other
-        /// poles, or built of other blocks. The styles of [`Style::TRAINING`] are equally likely where the size allows.
-        pub generated_probability: f64 = 0.0, in 0.0..=1.0;
     }
 }
 
@@ -84,21 +76,6 @@ pub struct TaskSampler {
     prebuilt: Vec<BlueprintId>,
     /// Maximum number of removed blocks by number of blocks; empty without a reverse curriculum.
     reach: BTreeMap<u8, u8>,
-}
-
-impl TaskConfig {
-    /// Returns the generated structures that a sampler may draw as goals; `None` if it draws none.
-    ///
-    /// # Errors
-    /// If the filter selects nothing or an unknown blueprint.
-    pub fn draws(&self, catalog: &Catalog) -> Result<Option<Draws>, FilterError> {
-        if self.generated_probability == 0.0 {
-            return Ok(None);
-        }
-        let ids = self.filter.select(catalog)?;
-        let sizes = ids.iter().filter_map(|id| Some(catalog.find(id)?.n_blocks()));
-        Ok(Some(Draws::new(Style::TRAINING, sizes)))
-    }
 }
 
 impl TaskFilter {
@@ -170,31 +147,13 @@ impl TaskSampler {
         }
     }
 
-    /// Draws the next task. Generated structures are checked against the held-out ones of `catalog`.
-    pub fn sample(&self, catalog: &Catalog, rng: &mut ChaCha8Rng) -> Task {
+    /// Draws the next task.
+    pub fn sample(&self, rng: &mut ChaCha8Rng) -> Task {
         let (blueprint, n_blocks) = self.draw_goal(rng);
-        let replaced = rng.random_bool(self.config.generated_probability);
-        let generated = if replaced { self.draw_generated(catalog, n_blocks, rng) } else { None };
-        let blueprint = generated.unwrap_or_else(|| blueprint.clone());
         // Equal blocks are shuffled in every episode, because the policy sees slot numbers.
         let assignment = sample_assignment(rng);
-        let start = self.draw_start(&blueprint, n_blocks, rng);
-        Task { blueprint, assignment, start, seed: rng.random() }
-    }
-
-    /// Draws a generated structure for training; `None` if a few attempts fail.
-    fn draw_generated(&self, catalog: &Catalog, n_blocks: usize, rng: &mut ChaCha8Rng) -> Option<BlueprintId> {
-        let fits = |style: &Style| style.sizes().contains(&n_blocks);
-        let styles: Vec<Style> = Style::TRAINING.into_iter().filter(fits).collect();
-        if styles.is_empty() {
-            return None;
-        }
-        (0..MAX_GENERATED).find_map(|_| {
-            let style = styles[rng.random_range(0..styles.len())];
-            let (seed, index) = (rng.random_range(0..=MAX_DRAWN_SEED).into(), rng.random_range(0..=MAX_INDEX));
-            let id = Request { style, seed, n_blocks, index }.id().ok()?;
-            catalog.find(&id).filter(|blueprint| catalog.is_for_training(blueprint)).map(|_| id)
-        })
+        let start = self.draw_start(blueprint, n_blocks, rng);
+        Task { blueprint: blueprint.clone(), assignment, start, seed: rng.random() }
     }
 
     fn draw_goal(&self, rng: &mut ChaCha8Rng) -> (&BlueprintId, usize) {

@@ -6,7 +6,6 @@
 
 mod brick;
 mod dice;
-mod draws;
 mod features;
 mod growth;
 mod poles;
@@ -26,7 +25,6 @@ use crate::checks::check_placements;
 use crate::error::BlueprintError;
 use crate::{Blueprint, BlueprintId, Split};
 use dice::Dice;
-pub use draws::{Draws, MAX_DRAWN_SEED};
 pub use style::{InvalidStyle, Style};
 
 /// Version of the generator, part of every id. An id always names the same structure, so a change in the output needs a
@@ -168,7 +166,7 @@ pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
 }
 
 /// Number of structures that [`made`] caches, a few kilobytes each; more than the concurrent episodes of a process.
-pub const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
+const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
 
 /// Like [`from_id`], with a cache of recent structures; `None` also if the request has no structure.
 pub fn made(id: &BlueprintId) -> Option<Blueprint> {

@@ -149,13 +149,6 @@ fn validation_goals_match_their_provenance_and_are_not_for_training() {
 }
 
 #[test]
-fn the_styles_of_training_are_all_but_the_held_out_ones() {
-    let held_out = [Style::Longest, Style::Tallest];
-    let expected: Vec<Style> = Style::ALL.into_iter().filter(|style| !held_out.contains(style)).collect();
-    assert_eq!(Style::TRAINING.to_vec(), expected);
-}
-
-#[test]
 fn other_ids_are_not_generated() {
     for other in
         ["2_000", "test_12_000", "gen2-any-0_4_000", "gen1-any-00_4_000", "gen1-any-x_4_000", "gen1-nose-0_4_000"]

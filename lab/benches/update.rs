@@ -30,7 +30,6 @@ fn main() {
         policy: Valid::default(),
         catalog: Catalog::builtin().clone(),
         tasks: vec![id.clone()],
-        generated: None,
         seed: 0,
         device: DeviceKind::Cpu,
         settings: Default::default(),

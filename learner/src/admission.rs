@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::generator::{Draws, Request};
 use blueprints::{BlueprintId, Catalog, Split};
 use policy::proposals::{N_SLOTS, Slot};
 use policy::{MoveHead, PolicyConfig};
@@ -62,17 +61,13 @@ pub struct Admission {
     move_head: MoveHead,
     /// Blueprints allowed as goals and start states, with their numbers of blocks.
     training: BTreeMap<BlueprintId, usize>,
-    /// Generated structures allowed as goals, if the run generates any.
-    generated: Option<Draws>,
 }
 
 impl Admission {
-    /// Creates rules that admit the training split of the catalog, the run's own tasks, and the generated goals that its
-    /// actors draw, from actors with its settings.
+    /// Creates rules that admit the training split of the catalog and the run's own tasks, from actors with its settings.
     pub fn new(
         catalog: &Catalog,
         tasks: &[BlueprintId],
-        generated: Option<Draws>,
         policy: &PolicyConfig,
         settings: &CanonicalSettings,
         acting: ActingLimits,
@@ -86,7 +81,6 @@ impl Admission {
             n_grippers: policy.features.n_grippers.into(),
             move_head: policy.network.move_head,
             training: split.chain(tasks).collect(),
-            generated,
         }
     }
 
@@ -126,11 +120,7 @@ impl Admission {
 
     fn check_task(&self, trajectory: &Trajectory) -> Result<(), String> {
         let goal = &trajectory.task.blueprint;
-        let drawn = || {
-            let draws = self.generated.as_ref()?;
-            Request::from_id(goal).filter(|request| draws.admit(request)).map(|request| request.n_blocks)
-        };
-        let Some(n_blocks) = self.training.get(goal).copied().or_else(drawn) else {
+        let Some(n_blocks) = self.training.get(goal).copied() else {
             return Err(format!("blueprint {goal} is not for training in this run"));
         };
         match &trajectory.task.start {
@@ -241,17 +231,16 @@ fn within(x: f32, limit: f32) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::generator::Style;
     use proto::Outcome;
 
     use super::*;
+    use crate::LearnerSetup;
     use crate::fixtures::trajectory;
     use crate::tests::learning::small_setup;
 
-    fn admission(generated: Option<Draws>) -> Admission {
-        let mut setup = small_setup(1);
-        (setup.tasks, setup.generated) = (vec!["gen1-arch-7_6_000".parse().unwrap()], generated);
-        setup.admission()
+    fn admission() -> Admission {
+        let tasks = vec!["gen1-arch-7_6_000".parse().unwrap()];
+        LearnerSetup { tasks, ..small_setup(1) }.admission()
     }
 
     fn of_goal(goal: &str, start: Start) -> Trajectory {
@@ -262,26 +251,18 @@ mod tests {
 
     #[test]
     fn only_training_goals_are_admitted() {
-        let none = admission(None);
-        let some = admission(Some(Draws::new([Style::Tower], 2..=4)));
         let held_out = Catalog::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
-        // Whether each goal is admitted without and with generated goals.
-        for (goal, expected) in [
-            ("2_000", [true, true]),
+        for (goal, is_admitted) in [
+            ("2_000", true),
             // One of the run's own tasks.
-            ("gen1-arch-7_6_000", [true, true]),
-            ("gen1-tower-ff_4_003", [false, true]),
-            ("gen1-tower-ffffffff_4_003", [false, true]),
-            ("gen1-tower-100000000_4_003", [false, false]),
-            ("gen1-tower-ff_5_003", [false, false]),
-            ("gen1-arch-ff_4_003", [false, false]),
-            ("gen2-tower-ff_4_003", [false, false]),
-            ("16_404", [false, false]),
-            (held_out.id().as_str(), [false, false]),
-            ("validation_7_000", [false, false]),
+            ("gen1-arch-7_6_000", true),
+            ("gen1-tower-ff_4_003", false),
+            ("16_404", false),
+            (held_out.id().as_str(), false),
+            ("validation_7_000", false),
         ] {
             let trajectory = of_goal(goal, Start::Scattered);
-            assert_eq!([&none, &some].map(|rules| rules.check(&trajectory).is_ok()), expected, "{goal}");
+            assert_eq!(admission().check(&trajectory).is_ok(), is_admitted, "{goal}");
         }
     }
 
@@ -298,7 +279,7 @@ mod tests {
             (Start::NearGoal { undone: 3 }, false),
             (Start::AsItIs, false),
         ] {
-            let check = admission(None).check(&of_goal("3_000", start.clone()));
+            let check = admission().check(&of_goal("3_000", start.clone()));
             assert_eq!(check.is_ok(), is_admitted, "{start:?}: {check:?}");
         }
     }
@@ -344,7 +325,7 @@ mod tests {
                 "its outcome contradicts the status",
             ),
         ];
-        let rules = admission(None);
+        let rules = admission();
         assert_eq!(rules.check(&trajectory(2, 5)), Ok(()));
         for (spoil, message) in cases {
             let mut spoilt = trajectory(2, 5);

@@ -1,10 +1,8 @@
 //! The synchronous core of the learner: trajectories in, weights out.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use blueprints::generator::{Draws, MADE_CAPACITY};
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::FeatureMoments;
@@ -42,10 +40,8 @@ pub struct LearnerSetup {
     pub policy: Valid<PolicyConfig>,
     /// All blueprints; trajectories can refer to those of the training split.
     pub catalog: Arc<Catalog>,
-    /// Blueprints to train on, from the catalog or the generator.
+    /// Blueprints to train on.
     pub tasks: Vec<BlueprintId>,
-    /// Generated structures that actors also draw as goals, if any.
-    pub generated: Option<Draws>,
     /// Settings of policy and worlds, which must be those of every actor. Weights carry them, and trajectories their
     /// hash.
     pub settings: CanonicalSettings,
@@ -102,16 +98,11 @@ pub struct Learner {
     pub(crate) n_refused: u64,
 }
 
-/// Maximum number of blocks in the goals that one update generates, per environment step. The shortest episodes, which
-/// begin near a goal of 16 blocks, take a few steps, so this suffices for all genuine goals of an update. Only an actor
-/// that tries to overload the learner sends more: generating a large goal takes up to 30 ms.
-const GENERATED_BLOCKS_PER_STEP: usize = 4;
-
 impl LearnerSetup {
     /// Returns what a learner with this setup admits.
     pub(crate) fn admission(&self) -> Admission {
-        let Self { catalog, tasks, generated, policy, settings, acting, .. } = self;
-        Admission::new(catalog, tasks, generated.clone(), policy, settings, *acting)
+        let Self { catalog, tasks, policy, settings, acting, .. } = self;
+        Admission::new(catalog, tasks, policy, settings, *acting)
     }
 }
 
@@ -336,36 +327,6 @@ impl Learner {
     /// If the file system returns an error.
     pub fn save(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
         self.checkpoint().write(dir)
-    }
-
-    /// Generates the goals and drops the trajectories whose goal is held out, cannot be generated, or exceeds the
-    /// limit. Generation takes time, so it happens here, after every other check and off the bus's threads.
-    pub(crate) fn with_usable_goals(&mut self, mut trajectories: Vec<Trajectory>) -> Vec<Trajectory> {
-        let catalog = &self.setup.catalog;
-        let mut n_blocks_left = GENERATED_BLOCKS_PER_STEP * self.setup.config.batch_size;
-        let mut usable: BTreeMap<BlueprintId, bool> = BTreeMap::new();
-        let n_before = trajectories.len();
-        trajectories.retain(|trajectory| {
-            let goal = &trajectory.task.blueprint;
-            if catalog.get(goal).is_some() {
-                return true;
-            }
-            if let Some(&is_usable) = usable.get(goal) {
-                return is_usable;
-            }
-            // The id of a generated goal contains its size; any other goal is dropped.
-            let n_blocks = goal.size().unwrap_or(usize::MAX);
-            // Goals in the cache count too, so that a resumed run drops the same trajectories.
-            if n_blocks_left < n_blocks || usable.len() >= MADE_CAPACITY.get() {
-                return false;
-            }
-            n_blocks_left -= n_blocks;
-            let is_usable = catalog.find(goal).is_some_and(|made| catalog.is_for_training(&made));
-            usable.insert(goal.clone(), is_usable);
-            is_usable
-        });
-        self.n_unmade += (n_before - trajectories.len()) as u64;
-        trajectories
     }
 
     fn table(&self) -> Vec<ParameterInfo> {

@@ -3,7 +3,6 @@
 mod checkpoints;
 #[cfg(feature = "gpu")]
 mod device;
-mod goals;
 pub(crate) mod learning;
 mod mixture;
 mod saving;

@@ -90,11 +90,10 @@ impl Trainer {
 }
 
 impl Learner {
-    /// Runs one update; `None` if no trajectory has a usable goal. PPO uses only trajectories with sampled actions.
+    /// Runs one update; `None` without trajectories. PPO uses only trajectories with sampled actions.
     ///
     /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
     pub fn update(&mut self, trajectories: Vec<Trajectory>) -> Option<UpdateMetrics> {
-        let trajectories = self.with_usable_goals(trajectories);
         if trajectories.is_empty() {
             return None;
         }

@@ -48,9 +48,8 @@ pub struct LearnerMetrics {
     pub n_mailbox: u64,
     /// Trajectories that became too old in the mailbox so far.
     pub expired_total: u64,
-    /// Accepted trajectories that were dropped since the start of the process because their generated goal is a
-    /// held-out structure, cannot be generated, or exceeded the number of goals generated per update, their draws are
-    /// not among what their scenes offer, or the network gives a value or a log-probability that is not finite for them.
+    /// Accepted trajectories that were dropped since the start of the process because their draws are not among
+    /// what their scenes offer, or the network gives a value or a log-probability that is not finite for them.
     #[serde(default)]
     pub unmade_total: u64,
     /// Updates that were taken back since the start of the process, because no policy could act with their weights.

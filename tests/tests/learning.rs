@@ -30,7 +30,6 @@ impl Ring {
             policy: config.part(|config| &config.policy),
             catalog: Catalog::builtin().clone(),
             tasks: config.actor.tasks.filter.select(Catalog::builtin()).unwrap(),
-            generated: config.actor.tasks.draws(Catalog::builtin()).unwrap(),
             settings: config.settings(),
             acting: config.acting_limits(),
             seed: config.seed,

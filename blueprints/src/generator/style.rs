@@ -66,12 +66,6 @@ impl Style {
         Self::Tallest,
     ];
 
-    /// The styles of generated training goals: all but the longest and the tallest, which are held out.
-    pub const TRAINING: [Self; 12] = {
-        let [training @ .., Self::Longest, Self::Tallest] = Self::ALL else { panic!("these two come last") };
-        training
-    };
-
     /// Returns the name used in ids and flags.
     pub fn as_str(self) -> &'static str {
         match self {

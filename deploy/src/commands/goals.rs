@@ -166,7 +166,6 @@ impl TrainingGoals {
         let flag = |path: &str, value: toml::Value| Override::flag("--blueprint", path, value);
         vec![
             flag("actor.tasks.filter.blueprints", self.ids.clone().into()),
-            flag("actor.tasks.generated_probability", 0.0_f64.into()),
             flag("evaluator.selection.splits", vec!["train"].into()),
             flag("evaluator.selection.sizes", vec![2, N_BLOCKS as i64].into()),
             flag("evaluator.selection.blueprints", self.ids.clone().into()),
@@ -341,7 +340,6 @@ mod tests {
             crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
                 .unwrap();
         config.clone().checked().unwrap();
-        assert_eq!(config.actor.tasks.generated_probability, 0.0);
         let selected = |catalog: &Catalog| {
             let selected = config.evaluator.selection.select(catalog).unwrap();
             let mut ids: Vec<String> = selected.iter().map(|goal| goal.id().to_string()).collect();

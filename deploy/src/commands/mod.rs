@@ -32,8 +32,8 @@ use self::common::{configure, origin};
 use crate::cli::{self, Command};
 use crate::config::check_variables;
 use crate::exit::Failure;
-use crate::live::Terminal;
 use crate::health;
+use crate::live::Terminal;
 
 /// Runs a subcommand to completion.
 ///

@@ -340,13 +340,11 @@ pub fn learner_setup(
     config.device.open().map_err(|error| invalid("device", error))?;
     let unusable = |error| invalid("actor.tasks.filter", error);
     let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;
-    let generated = config.actor.tasks.draws(catalog).map_err(unusable)?;
     Ok(LearnerSetup {
         config: config.part(|config| &config.learner),
         policy: config.part(|config| &config.policy),
         catalog: catalog.clone(),
         tasks,
-        generated,
         settings: config.settings(),
         acting: config.acting_limits(),
         seed: config.seed,

@@ -50,7 +50,6 @@ pub const ABLATIONS: &[Ablation] = &[
         about: "learns one blueprint alone, 6_000",
         settings: &[
             "actor.tasks.filter={blueprints=[\"6_000\"]}",
-            "actor.tasks.generated_probability=0.0",
             "learner.curriculum={kind=\"uniform\"}",
             "evaluator.selection.blueprints=[\"6_000\"]",
             "evaluator.selection.splits=[\"train\"]",

@@ -28,7 +28,6 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
         policy: Valid::new(PolicyConfig { network, ..PolicyConfig::default() }).unwrap(),
         catalog: Catalog::builtin().clone(),
         tasks: vec![blueprint_id()],
-        generated: None,
         settings: Default::default(),
         acting: Default::default(),
         seed,
