@@ -14,7 +14,7 @@ settings! {
     #[derive(Eq)]
     pub struct DashboardConfig {
         /// Web page about the training, served by the evaluator process. Absent: no page.
-        pub web: Option<WebConfig> = None;
+        pub web: Option<WebConfig>;
     }
 
     /// Where the page is served and who may see it.

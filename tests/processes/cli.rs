@@ -4,6 +4,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use crate::support::judges::{python, told_by_script};
+
 /// Runs `lodestone` in `folder` without the caller's `LODESTONE_*` variables and `RUST_LOG`, but with `variables`.
 fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
@@ -202,6 +204,57 @@ fn a_file_is_put_over_quickstart_and_a_whole_one_over_nothing() {
     // A complete configuration gives the same result whatever its base.
     let whole = with_file(&over_paper.to_string(), &[]);
     assert_eq!(whole, over_paper);
+}
+
+#[test]
+fn a_printed_configuration_can_be_short_or_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let print = |args: &[&str]| {
+        let all = [&["train", "--print-config", "--preset", "laptop", "--set", "learner.gamma=0.9"], args].concat();
+        String::from_utf8(lodestone(folder.path(), &all, &[]).stdout).unwrap()
+    };
+    let changed = print(&["--changed"]);
+    assert_eq!(changed.trim(), "base = \"laptop\"\n\n[learner]\ngamma = 0.9");
+    let explained = print(&["--changed", "--explain"]);
+    assert!(explained.contains("\n# Discount γ per step (0 to 1; default 0.99).\ngamma = 0.9\n"), "{explained}");
+    std::fs::write(folder.path().join("my.toml"), print(&["--explain"])).unwrap();
+    assert_eq!(printed(folder.path(), &["--config", "my.toml"]), print(&[]).parse().unwrap());
+}
+
+#[test]
+fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let schema = lodestone(folder.path(), &["train", "--print-config", "--schema"], &[]).stdout;
+    std::fs::write(path("schema.json"), schema).unwrap();
+    let wrong = [
+        ("[learner]\ngama = 0.9", "'gama' was unexpected"),
+        ("[learner]\ngamma = 1.5", "1.5 is greater than the maximum of 1"),
+        ("device = \"tpu\"", "'tpu' is not one of ['cpu', 'gpu']"),
+        ("[learner.curriculum]\nkind = \"uniform\"\ngate = 0.5", "is not valid under any of the given schemas"),
+    ];
+    let mut files: Vec<String> = Vec::new();
+    for (number, (text, _)) in wrong.iter().enumerate() {
+        files.push(path(&format!("{number}.toml")));
+        std::fs::write(&files[number], text).unwrap();
+    }
+    for preset in deploy::config::PRESETS {
+        files.extend([path(preset.name), path(&format!("{}-whole", preset.name))]);
+        std::fs::write(path(preset.name), preset.text).unwrap();
+        let whole = printed(folder.path(), &["--preset", preset.name]).to_string();
+        std::fs::write(&files[files.len() - 1], whole).unwrap();
+    }
+    let Some(python) = python() else { return };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/schema.py");
+    let schema = path("schema.json");
+    let args: Vec<&str> = [&schema].into_iter().chain(&files).map(String::as_str).collect();
+    let told = told_by_script(&python, &script, &args);
+    for (number, file) in files.iter().enumerate() {
+        match wrong.get(number) {
+            Some((text, words)) => assert!(told[file][0].as_str().unwrap().contains(words), "{text}: {}", told[file]),
+            None => assert_eq!(told[file], serde_json::json!([]), "{file}"),
+        }
+    }
 }
 
 #[test]

@@ -173,7 +173,7 @@ fn configure(
     let settings = args.load(resume, flags)?;
     settings.config.validate()?;
     if args.print_config {
-        terminal.print(&settings.config.to_toml());
+        terminal.print(&args.printed(&settings)?);
         return Ok(None);
     }
     Ok(Some(settings))

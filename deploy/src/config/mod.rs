@@ -5,6 +5,7 @@
 
 mod ablations;
 mod error;
+mod keys;
 mod layers;
 mod presets;
 mod variables;
@@ -23,6 +24,7 @@ use proto::{CanonicalSettings, settings};
 pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
+pub use keys::{Key, explain, keys, schema};
 pub use layers::{Base, NO_BASE, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 pub use variables::check_variables;
@@ -57,7 +59,7 @@ settings! {
         /// Whether `train` alternates between stepping worlds and learning, so that equal seeds produce equal bytes.
         pub lockstep: bool = false;
         /// How the processes of a run find each other.
-        pub bus: BusConfig = BusConfig::default();
+        pub bus: BusConfig;
         /// The simulated world.
         pub environment: EnvironmentConfig;
         /// Features, network, and action distribution.
@@ -67,9 +69,9 @@ settings! {
         /// Training.
         pub learner: LearnerConfig;
         /// Evaluation.
-        pub evaluator: EvaluatorConfig = EvaluatorConfig::default();
+        pub evaluator: EvaluatorConfig;
         /// Where a run is shown.
-        pub dashboard: DashboardConfig = DashboardConfig::default();
+        pub dashboard: DashboardConfig;
     }
 }
 
@@ -92,6 +94,21 @@ impl Config {
         let mut table = toml::Value::Table(self.to_table());
         shorten(&mut table);
         format!("base = \"{NO_BASE}\"\n{}", toml::to_string(&table).expect("a table is TOML"))
+    }
+
+    /// A file of the keys that differ from those of `base`; the whole tree, if keys of the base are absent here.
+    ///
+    /// # Errors
+    /// Never for the bases of this program.
+    ///
+    /// # Panics
+    /// As [`Self::to_toml`].
+    pub fn changes(&self, base: Base) -> Result<String, ConfigError> {
+        let before = merge("", "", base, &[])?.to_table();
+        let mut changed = toml::Value::Table(layers::changed(&before, self.to_table()));
+        shorten(&mut changed);
+        let text = format!("base = \"{}\"\n{}", base.name(), toml::to_string(&changed).expect("a table is TOML"));
+        Ok(if Self::parse(&text, "")? == *self { text } else { self.to_toml() })
     }
 
     fn to_table(&self) -> toml::Table {
@@ -131,7 +148,6 @@ impl Config {
         self.validate_at("").map_err(|error| error.to_string())?;
         // These sections have checks beyond ranges.
         self.bus.validate().map_err(|error| error.to_string())?;
-        self.evaluator.validate().map_err(|error| error.to_string())?;
         self.dashboard.validate().map_err(|error| error.to_string())?;
         let (worlds, policy) = (self.environment.n_grippers, self.policy.features.n_grippers);
         if worlds != policy {
