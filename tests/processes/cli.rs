@@ -273,7 +273,32 @@ fn shells_know_the_commands() {
     for shell in ["bash", "zsh", "fish"] {
         let output = lodestone(folder.path(), &["completions", shell], &[]);
         let text = String::from_utf8(output.stdout).unwrap();
-        assert!(text.contains("lodestone") && text.contains("evaluator"), "{shell}: {text}");
+        for words in ["evaluator", "learner.optimizer.learning_rate=", "16_002", "near-goal"] {
+            assert!(text.contains(words), "{shell}: no {words} in {text}");
+        }
+        std::fs::write(folder.path().join(shell), text).unwrap();
+    }
+    // In bash itself, as if these words had been typed before Tab.
+    for (words, expected) in [
+        ("train --set learner.gam", "learner.gamma="),
+        ("play 16_00", "16_000 16_001 16_002"),
+        ("train --blueprint 2_00", "2_000 2_001"),
+        ("train --preset la", "laptop"),
+        ("serve ru", ""),
+    ] {
+        let typed: Vec<&str> = words.split(' ').collect();
+        let (last, before) = (typed[typed.len() - 1], typed[typed.len() - 2]);
+        let script = format!(
+            "source bash; COMP_WORDS=(lodestone {words}); COMP_CWORD={}; _lodestone lodestone {last} {before} 2>&-; \
+             echo \"${{COMPREPLY[*]}}\"",
+            typed.len()
+        );
+        let Ok(bash) = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output() else { return };
+        let offered = String::from_utf8(bash.stdout).unwrap();
+        assert!(
+            offered.starts_with(expected) && offered.trim().is_empty() == expected.is_empty(),
+            "{words}: {offered}"
+        );
     }
 }
 
