@@ -1,6 +1,6 @@
 //! Configuration of a process's bus session.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -109,6 +109,11 @@ impl BusConfig {
         Self { mode: BusMode::Client, connect: vec![isolated_endpoint(dir)], ..Self::default() }
     }
 
+    /// The socket in `dir` of these two.
+    pub fn socket(dir: &Path) -> PathBuf {
+        dir.join("bus.sock")
+    }
+
     /// Checks every setting.
     ///
     /// # Errors
@@ -203,7 +208,7 @@ impl BusConfig {
 }
 
 fn isolated_endpoint(dir: &Path) -> String {
-    format!("unixsock-stream/{}", dir.join("bus.sock").display())
+    format!("unixsock-stream/{}", BusConfig::socket(dir).display())
 }
 
 #[cfg(test)]

@@ -214,7 +214,7 @@ fn a_printed_configuration_can_be_short_or_explained() {
         String::from_utf8(lodestone(folder.path(), &all, &[]).stdout).unwrap()
     };
     let changed = print(&["--changed"]);
-    assert_eq!(changed.trim(), "base = \"laptop\"\n\n[learner]\ngamma = 0.9");
+    assert_eq!(changed.trim(), "base = \"laptop\"\n[learner]\ngamma = 0.9");
     let explained = print(&["--changed", "--explain"]);
     assert!(explained.contains("\n# Discount γ per step (0 to 1; default 0.99).\ngamma = 0.9\n"), "{explained}");
     std::fs::write(folder.path().join("my.toml"), print(&["--explain"])).unwrap();
@@ -289,7 +289,7 @@ fn shells_know_the_commands() {
         let typed: Vec<&str> = words.split(' ').collect();
         let (last, before) = (typed[typed.len() - 1], typed[typed.len() - 2]);
         let script = format!(
-            "source bash; COMP_WORDS=(lodestone {words}); COMP_CWORD={}; _lodestone lodestone {last} {before} 2>&-; \
+            "source ./bash; COMP_WORDS=(lodestone {words}); COMP_CWORD={}; _lodestone lodestone {last} {before} 2>&-; \
              echo \"${{COMPREPLY[*]}}\"",
             typed.len()
         );

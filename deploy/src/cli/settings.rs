@@ -19,7 +19,7 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG")]
     pub config: Option<PathBuf>,
     /// Built-in configuration; --config overrides it if both are given [default: quickstart].
-    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
+    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(of_preset)))]
     pub preset: Option<String>,
     /// One of the paper's ablations; overrides the preset and the file.
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(ABLATIONS.iter().map(of_ablation)))]
@@ -152,6 +152,11 @@ impl ConfigArgs {
         overrides.extend(flags);
         Ok(overrides)
     }
+}
+
+/// A preset as a value of `--preset`.
+fn of_preset(preset: &Preset) -> PossibleValue {
+    PossibleValue::new(preset.name).help(format!("{}; takes {}", preset.about, preset.takes))
 }
 
 /// An ablation as a value of `--ablation`.

@@ -1,10 +1,12 @@
 //! `train`: learner, actors, and evaluator in this process, on its own bus.
 
-use std::path::PathBuf;
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use actor::ActorSetup;
 use blueprints::outside::as_text;
+use bus::BusConfig;
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluatorSetup, Stop};
@@ -72,7 +74,8 @@ pub(super) async fn run(
     let page = page.map(|page| services::Opened { page, about, first: None });
     terminal.print(&introduction(settings, &origin, &run_dir));
     let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
-    let joined = join_bus(&config.bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
+    let joined =
+        join_bus(&watchable(&config.bus, run_dir.path()), &shutdown).await.inspect_err(|_| run_dir.abandon())?;
     let Some(bus) = joined else {
         run_dir.abandon();
         return Err(Failure::NothingWritten(run_dir.path().to_owned()));
@@ -158,6 +161,20 @@ pub(super) async fn run(
     })
 }
 
+/// The bus with a socket in the run's folder, so that `watch` finds it; without one if the file system or the keys rule it
+/// out.
+fn watchable(bus: &BusConfig, folder: &Path) -> BusConfig {
+    let socket = BusConfig::socket(folder);
+    let listen = bus.listen.iter().cloned().chain(BusConfig::isolated_router(folder).listen).collect();
+    let with_socket = BusConfig { listen, ..bus.clone() };
+    // A process that was killed leaves its socket behind. No other one is alive, because this one holds the folder.
+    drop(std::fs::remove_file(&socket));
+    // An endpoint is text in which these characters begin something else.
+    let is_named = socket.to_str().is_some_and(|name| !name.contains(['?', '#']));
+    let is_possible = is_named && with_socket.validate().is_ok() && UnixListener::bind(&socket).is_ok();
+    if is_possible { with_socket } else { bus.clone() }
+}
+
 /// Serves the page at the configured address, or else on a free port, where a failure is only logged.
 async fn page(config: &Config, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
     if args.no_web {
@@ -180,7 +197,10 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
     let program = program();
     let run = &config.bus.run;
     let listening = match &config.bus.listen[..] {
-        [] => format!("\nfor actors elsewhere, or `{program} watch`: --listen tcp/127.0.0.1:7447"),
+        [] => format!(
+            "\nin a terminal: {program} watch {}; for actors elsewhere: --listen tcp/127.0.0.1:7447",
+            shell::path(run_dir.path())
+        ),
         endpoints => format!(
             "\nothers can join at {}, run `{run}`\nin a terminal: {program} watch --connect {} --run {run}",
             endpoints.join(" and "),
