@@ -380,15 +380,18 @@ pub struct PlayArgs {
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<OsString>,
-    /// Episodes per blueprint.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: u32,
+    /// Also evaluate the policy, with this many episodes per blueprint [default: with --run-dir, 4; else none].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub episodes: Option<u32>,
     /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
-    /// Folder for episodes and videos [default: runs/DATE-play].
+    /// Evaluate the policy, and keep the results, episodes, and videos in this folder.
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+    /// Do not open the page in a browser, which happens where a terminal and a display are.
+    #[arg(long)]
+    pub no_open: bool,
     /// Set one configuration key, for example evaluator.episodes.starts=scattered; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
