@@ -1,6 +1,6 @@
 //! Configuration of a process's bus session.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -54,12 +54,22 @@ pub enum BusMode {
 impl BusConfig {
     /// A router that only processes with access to the folder `dir` can join, through a Unix socket in it.
     pub fn isolated_router(dir: &Path) -> Valid<Self> {
-        isolated(Self { listen: vec![isolated_endpoint(dir)], ..Self::default() })
+        isolated(Self { listen: vec![Self::socket_endpoint(dir)], ..Self::default() })
     }
 
     /// A client of [`Self::isolated_router`].
     pub fn isolated_client(dir: &Path) -> Valid<Self> {
-        isolated(Self { mode: BusMode::Client, connect: vec![isolated_endpoint(dir)], ..Self::default() })
+        isolated(Self { mode: BusMode::Client, connect: vec![Self::socket_endpoint(dir)], ..Self::default() })
+    }
+
+    /// The socket in `dir` of these two.
+    pub fn socket(dir: &Path) -> PathBuf {
+        dir.join("bus.sock")
+    }
+
+    /// The endpoint of that socket.
+    pub fn socket_endpoint(dir: &Path) -> String {
+        format!("unixsock-stream/{}", Self::socket(dir).display())
     }
 
     fn endpoints(&self, path: &str) -> Result<(), InvalidSetting> {
@@ -163,10 +173,6 @@ impl BusConfig {
 
 fn isolated(config: BusConfig) -> Valid<BusConfig> {
     Valid::new(config).expect("a socket in a folder is an endpoint")
-}
-
-fn isolated_endpoint(dir: &Path) -> String {
-    format!("unixsock-stream/{}", dir.join("bus.sock").display())
 }
 
 #[cfg(test)]

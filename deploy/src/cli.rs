@@ -39,15 +39,35 @@ use crate::config::Override;
 use crate::exit::Failure;
 use crate::telemetry::LogFormat;
 
+/// What most people type first.
+const EXAMPLES: &str = "\
+Examples:
+  lodestone play scorpion           Watch the shipped policy build a scorpion
+  lodestone train                   Train for a minute, with a page to look at
+  lodestone watch                   Watch a training of this machine in the terminal
+  lodestone eval --pretrained       Evaluate the shipped policy
+  lodestone train --help            What each preset is for and takes";
+
+/// What `train` is used for.
+const TRAININGS: &str = "\
+Examples:
+  lodestone train --preset laptop                         Learn all training blueprints
+  lodestone train --blueprint scorpion                    Learn one blueprint
+  lodestone train --set learner.gamma=0.98                Change a setting
+  lodestone train --print-config --explain                List all settings
+  lodestone train --resume runs/NAME --steps 1e6          Continue a run
+  lodestone train --preset laptop --init-from pretrained  Start from the shipped policy";
+
 /// Trains an agent to assemble magnet blocks into blueprints.
 #[derive(Debug, Parser)]
-#[command(name = "lodestone", version, max_term_width = 100, arg_required_else_help = true)]
+#[command(name = "lodestone", version, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
 pub struct Cli {
     /// The subcommand.
     #[command(subcommand)]
     pub command: Command,
-    /// Format of log lines; RUST_LOG selects what is logged.
-    #[arg(long, global = true, value_enum, default_value_t, env = "LODESTONE_LOG_FORMAT")]
+    /// Format of log lines, which go to stderr. The variable RUST_LOG selects them: error, warn, info, debug, or trace
+    /// [default: info].
+    #[arg(long, global = true, value_enum, default_value_t, env = "LODESTONE_LOG_FORMAT", help_heading = "Logs")]
     pub log_format: LogFormat,
 }
 
@@ -129,6 +149,7 @@ fn variable(error: &clap::Error) -> Option<String> {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Train in one process: learner, actors, and evaluator.
+    #[command(after_help = TRAININGS)]
     Train(TrainArgs),
     /// Train all combinations of some settings, or random ones, with several seeds each, and compare them.
     Sweep(SweepArgs),
@@ -202,8 +223,8 @@ pub struct TrainArgs {
     /// The run.
     #[command(flatten)]
     pub run: RunArgs,
-    /// Train and evaluate on this blueprint only: an id, generated ones included, a file, or a folder of files; may be
-    /// repeated.
+    /// Train and evaluate on this blueprint only: an id or a name such as scorpion, generated ones included, a file, or a
+    /// folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<OsString>,
     /// Threads that step worlds.
@@ -357,21 +378,24 @@ pub struct PlayArgs {
     /// The shipped policy, as without --checkpoint.
     #[arg(long, conflicts_with = "checkpoint")]
     pub pretrained: bool,
-    /// Only these blueprints: ids, generated ones included, files, or folders of files [default: the whole catalog].
+    /// Only these blueprints: ids or names such as scorpion, generated ones included, files, or folders of files [default: the whole catalog].
     #[arg(value_name = "FILE|ID")]
     pub ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<OsString>,
-    /// Episodes per blueprint.
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: u32,
+    /// Also evaluate the policy, with this many episodes per blueprint [default: with --run-dir, 4; else none].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub episodes: Option<u32>,
     /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub web: Option<std::net::SocketAddr>,
-    /// Folder for episodes and videos [default: runs/DATE-play].
+    /// Evaluate the policy, and keep the results, episodes, and videos in this folder.
     #[arg(long, value_name = "DIR")]
     pub run_dir: Option<PathBuf>,
+    /// Do not open the page in a browser, which happens where a terminal and a display are.
+    #[arg(long)]
+    pub no_open: bool,
     /// Set one configuration key, for example evaluator.episodes.starts=scattered; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
@@ -391,7 +415,7 @@ pub struct EvalArgs {
     /// The scripted expert, in the default world; of the settings, `environment`, `evaluator`, and `seed` matter.
     #[arg(long)]
     pub expert: bool,
-    /// Only this blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
+    /// Only this blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
     pub blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be

@@ -7,6 +7,7 @@ use std::time::SystemTime;
 
 use blueprints::catalog::is_hidden;
 use blueprints::outside;
+use bus::BusConfig;
 use runlog::RunPaths;
 use serde::Serialize;
 use serde_json::Value;
@@ -249,7 +250,9 @@ impl RunDir {
     /// Removes what was written for a new run that could not start.
     pub fn abandon(&self) {
         if self.is_new {
-            let files = [self.paths.config(), self.paths.meta(), self.paths.lock()];
+            let socket = BusConfig::socket(self.path());
+            let its_lock = socket.with_extension("sock.lock");
+            let files = [self.paths.config(), self.paths.meta(), self.paths.lock(), socket, its_lock];
             let remove = |file| match fs::remove_file(file) {
                 // The folder was claimed but not described yet.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),

@@ -1,6 +1,7 @@
 //! Evaluator settings.
 
 use blueprints::{Blueprint, BlueprintId, Catalog, Group, N_BLOCKS, Split};
+use proto::setting::schema::{self, Schema};
 use proto::setting::{Section, Setting, key};
 use proto::{ActionMode, InvalidSetting, settings};
 use serde::{Deserialize, Serialize};
@@ -143,6 +144,10 @@ impl Default for Every {
 }
 
 impl Section for Every {
+    fn schema() -> Schema {
+        schema::of::<Self>()
+    }
+
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting> {
         match self {
             Self::Minutes(minutes) => minutes.check_in(&key(path, "minutes"), &(0.0..=10_000.0)),

@@ -4,6 +4,7 @@ mod curriculum;
 mod loss;
 mod schedule;
 
+use proto::setting::schema::{self, Schema};
 use proto::setting::{InvalidSetting, Section, Setting, above, key};
 use proto::settings;
 use serde::{Deserialize, Serialize};
@@ -24,7 +25,7 @@ settings! {
         /// share of the remainder.
         pub minibatch_size: usize = 1024,
             where |c| (1..=c.batch_size).contains(&c.minibatch_size) => "1..=batch_size";
-        /// Threads that pass pieces through the network; `None` means one per core on a CPU, or one in total with a
+        /// Threads that pass pieces through the network; absent means one per core on a CPU, or one in total with a
         /// GPU. Results do not depend on the number of threads.
         pub n_threads: Option<usize> = None, in 1..=256;
         /// Passes over each batch.
@@ -120,6 +121,10 @@ pub struct RateLine {
 }
 
 impl Section for RateLine {
+    fn schema() -> Schema {
+        schema::of::<Self>()
+    }
+
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting> {
         self.points.check_in(&key(path, "points"), &above(0.0))
     }

@@ -53,7 +53,7 @@ settings! {
         pub value_hidden: Vec<usize> = vec![512; 3], in 1..=4096,
             where |c| c.value_hidden.len() <= 8 => "at most 8 layers";
         /// Standard deviation of the moves of an untrained policy with the Gaussian head, as a fraction of the speed
-        /// limit. `None` gives the paper's ln 2 = 0.69.
+        /// limit. Absent: the paper's ln 2 = 0.69.
         pub init_std: Option<f32> = None, in above_to(MIN_STD, 10.0);
         /// How moves are drawn.
         #[serde(skip_serializing_if = "MoveHead::is_gaussian")]

@@ -32,6 +32,10 @@ use std::ops::{Bound, RangeBounds};
 use serde::Serialize;
 use serde_json::Value;
 
+pub mod schema;
+
+use self::schema::Schema;
+
 /// A setting outside its range. The message names the key including its sections, the value, and what is valid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
@@ -59,6 +63,9 @@ pub trait Section {
     /// # Errors
     /// Returns the first invalid setting.
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting>;
+
+    /// Returns what the section may hold, with the default and the documentation of each key.
+    fn schema() -> Schema;
 }
 
 /// A section with a fixed place in the configuration.
@@ -68,6 +75,10 @@ pub trait Root: Section {
 }
 
 impl<T: Section> Section for Option<T> {
+    fn schema() -> Schema {
+        T::schema()
+    }
+
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting> {
         self.as_ref().map_or(Ok(()), |section| section.validate_at(path))
     }
@@ -225,23 +236,42 @@ macro_rules! settings {
     };
     (@default) => { ::core::default::Default::default() };
     (@default $default:expr) => { $default };
+    (@docs $([$($meta:tt)*])*) => { &[$($crate::settings!(@doc $($meta)*)),*] };
+    (@doc doc = $line:literal) => { $line };
+    (@doc $($other:tt)*) => { "" };
+    (@schema $defaults:ident $docs:tt $field:ident $type:ty) => {
+        $crate::setting::schema::described(
+            <$type as $crate::setting::Section>::schema(),
+            $crate::settings!(@documented $docs),
+        )
+    };
+    (@schema $defaults:ident $docs:tt $field:ident $type:ty
+        = $default:expr $(, in $range:expr)? $(, where $rule:expr => $expected:literal)?
+    ) => {{
+        let rule: &[&str] = &[$($expected)?];
+        let docs = $crate::settings!(@documented $docs);
+        let schema = $crate::setting::schema::value(docs, &$defaults.$field, rule.first().copied());
+        $(let schema = $crate::setting::schema::within::<$type>(schema, &$range);)?
+        schema
+    }};
+    (@documented [$($docs:tt)*]) => { $crate::settings!(@docs $($docs)*) };
     (
-        $(#[$meta:meta])*
+        $(#[$($meta:tt)*])*
         $vis:vis struct $name:ident $(in $root:literal)? $(, check $check:ident)? {
             $(
-                $(#[$field_meta:meta])*
+                $(#[$($field_meta:tt)*])*
                 $field_vis:vis $field:ident: $type:ty
                     $(= $default:expr $(, in $range:expr)? $(, where $rule:expr => $expected:literal)?)?;
             )*
         }
         $($rest:tt)*
     ) => {
-        $(#[$meta])*
+        $(#[$($meta)*])*
         #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
         #[serde(deny_unknown_fields, default)]
         $vis struct $name {
             $(
-                $(#[$field_meta])*
+                $(#[$($field_meta)*])*
                 $(#[doc = concat!(
                     " Default `", stringify!($default), "`", $(", range `", stringify!($range), "`",)?
                     $(", ", $expected,)? "."
@@ -265,6 +295,18 @@ macro_rules! settings {
                 $(self.$check(path)?;)?
                 Ok(())
             }
+
+            #[allow(unused_variables, reason = "a section may be empty")]
+            fn schema() -> $crate::setting::schema::Schema {
+                let defaults = Self::default();
+                $crate::setting::schema::section($crate::settings!(@docs $([$($meta)*])*), [$((
+                    stringify!($field),
+                    $crate::settings!(
+                        @schema defaults [$([$($field_meta)*])*] $field $type
+                            $(= $default $(, in $range)? $(, where $rule => $expected)?)?
+                    ),
+                ),)*])
+            }
         }
 
         $(impl $crate::setting::Root for $name {
@@ -274,17 +316,17 @@ macro_rules! settings {
         $crate::settings! { $($rest)* }
     };
     (
-        $(#[$meta:meta])*
+        $(#[$($meta:tt)*])*
         $vis:vis enum $name:ident = $default:ident {
-            $($(#[$variant_meta:meta])* $variant:ident($section:ty),)*
+            $($(#[$($variant_meta:tt)*])* $variant:ident($section:ty),)*
         }
         $($rest:tt)*
     ) => {
-        $(#[$meta])*
+        $(#[$($meta)*])*
         #[derive(Clone, Debug, PartialEq, ::serde::Serialize, ::serde::Deserialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]
         $vis enum $name {
-            $($(#[$variant_meta])* $variant($section),)*
+            $($(#[$($variant_meta)*])* $variant($section),)*
         }
 
         impl ::core::default::Default for $name {
@@ -298,6 +340,18 @@ macro_rules! settings {
                 match self {
                     $(Self::$variant(section) => <$section as $crate::setting::Section>::validate_at(section, path),)*
                 }
+            }
+
+            fn schema() -> $crate::setting::schema::Schema {
+                $crate::setting::schema::choice(
+                    $crate::settings!(@docs $([$($meta)*])*),
+                    stringify!($default),
+                    [$((
+                        stringify!($variant),
+                        <$section as $crate::setting::Section>::schema(),
+                        $crate::settings!(@docs $([$($variant_meta)*])*),
+                    ),)*],
+                )
             }
         }
 
@@ -362,6 +416,30 @@ mod tests {
             let error = serde_json::from_str::<Outer>(unknown).unwrap_err().to_string();
             assert!(error.contains("unknown field `m`"), "{error}");
         }
+    }
+
+    #[test]
+    fn the_schema_says_what_the_macro_knows() {
+        let schema = Outer::schema();
+        assert_eq!(schema["description"], "A section with every form of a field.");
+        assert_eq!(schema["additionalProperties"], false);
+        let field = |name: &str| schema["properties"][name].to_string();
+        for (name, expected) in [
+            ("n", r#"{"default":2,"description":"Number.","maximum":64,"minimum":1,"type":"integer"}"#),
+            ("name", r#"{"default":"a","description":"No range.","type":"string"}"#),
+            ("rate", r#"{"default":null,"description":"May be absent.","exclusiveMinimum":0,"type":"number"}"#),
+            (
+                "rates",
+                r#"{"$comment":"at least one","default":[0.5],"description":"Numbers that share a range.","items":{"exclusiveMaximum":1,"minimum":0,"type":"number"},"type":"array"}"#,
+            ),
+        ] {
+            assert_eq!(field(name), expected);
+        }
+        let choice = &schema["properties"]["choice"];
+        assert_eq!(choice["oneOf"][1]["properties"]["kind"]["const"], "some");
+        assert_eq!(choice["oneOf"][1]["properties"]["weight"]["minimum"], 0);
+        assert_eq!(choice["default"]["kind"], "some");
+        assert_eq!(schema["properties"]["inner"]["properties"]["weight"]["description"], "Number.");
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use crate::support::judges::{python, told_by_script};
+
 /// Runs `lodestone` in `folder` without the caller's `LODESTONE_*` variables and `RUST_LOG`, but with `variables`.
 fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
@@ -205,6 +207,57 @@ fn a_file_is_put_over_quickstart_and_a_whole_one_over_nothing() {
 }
 
 #[test]
+fn a_printed_configuration_can_be_short_or_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let print = |args: &[&str]| {
+        let all = [&["train", "--print-config", "--preset", "laptop", "--set", "learner.gamma=0.9"], args].concat();
+        String::from_utf8(lodestone(folder.path(), &all, &[]).stdout).unwrap()
+    };
+    let changed = print(&["--changed"]);
+    assert_eq!(changed.trim(), "base = \"laptop\"\n[learner]\ngamma = 0.9");
+    let explained = print(&["--changed", "--explain"]);
+    assert!(explained.contains("\n# Discount γ per step (0 to 1; default 0.99).\ngamma = 0.9\n"), "{explained}");
+    std::fs::write(folder.path().join("my.toml"), print(&["--explain"])).unwrap();
+    assert_eq!(printed(folder.path(), &["--config", "my.toml"]), print(&[]).parse().unwrap());
+}
+
+#[test]
+fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let schema = lodestone(folder.path(), &["train", "--print-config", "--schema"], &[]).stdout;
+    std::fs::write(path("schema.json"), schema).unwrap();
+    let wrong = [
+        ("[learner]\ngama = 0.9", "'gama' was unexpected"),
+        ("[learner]\ngamma = 1.5", "1.5 is greater than the maximum of 1"),
+        ("device = \"tpu\"", "'tpu' is not one of ['cpu', 'gpu']"),
+        ("[learner.curriculum]\nkind = \"uniform\"\ngate = 0.5", "is not valid under any of the given schemas"),
+    ];
+    let mut files: Vec<String> = Vec::new();
+    for (number, (text, _)) in wrong.iter().enumerate() {
+        files.push(path(&format!("{number}.toml")));
+        std::fs::write(&files[number], text).unwrap();
+    }
+    for preset in deploy::config::PRESETS {
+        files.extend([path(preset.name), path(&format!("{}-whole", preset.name))]);
+        std::fs::write(path(preset.name), preset.text).unwrap();
+        let whole = printed(folder.path(), &["--preset", preset.name]).to_string();
+        std::fs::write(&files[files.len() - 1], whole).unwrap();
+    }
+    let Some(python) = python() else { return };
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/schema.py");
+    let schema = path("schema.json");
+    let args: Vec<&str> = [&schema].into_iter().chain(&files).map(String::as_str).collect();
+    let told = told_by_script(&python, &script, &args);
+    for (number, file) in files.iter().enumerate() {
+        match wrong.get(number) {
+            Some((text, words)) => assert!(told[file][0].as_str().unwrap().contains(words), "{text}: {}", told[file]),
+            None => assert_eq!(told[file], serde_json::json!([]), "{file}"),
+        }
+    }
+}
+
+#[test]
 fn numbers_and_addresses_are_written_as_people_write_them() {
     let folder = tempfile::tempdir().unwrap();
     let steps = |text: &str| printed(folder.path(), &["--steps", text])["n_env_steps"].as_integer();
@@ -220,7 +273,32 @@ fn shells_know_the_commands() {
     for shell in ["bash", "zsh", "fish"] {
         let output = lodestone(folder.path(), &["completions", shell], &[]);
         let text = String::from_utf8(output.stdout).unwrap();
-        assert!(text.contains("lodestone") && text.contains("evaluator"), "{shell}: {text}");
+        for words in ["evaluator", "learner.optimizer.learning_rate=", "16_002", "near-goal"] {
+            assert!(text.contains(words), "{shell}: no {words} in {text}");
+        }
+        std::fs::write(folder.path().join(shell), text).unwrap();
+    }
+    // In bash itself, as if these words had been typed before Tab.
+    for (words, expected) in [
+        ("train --set learner.gam", "learner.gamma="),
+        ("play 16_00", "16_000 16_001 16_002"),
+        ("train --blueprint 2_00", "2_000 2_001"),
+        ("train --preset la", "laptop"),
+        ("serve ru", ""),
+    ] {
+        let typed: Vec<&str> = words.split(' ').collect();
+        let (last, before) = (typed[typed.len() - 1], typed[typed.len() - 2]);
+        let script = format!(
+            "source ./bash; COMP_WORDS=(lodestone {words}); COMP_CWORD={}; _lodestone lodestone {last} {before} 2>&-; \
+             echo \"${{COMPREPLY[*]}}\"",
+            typed.len()
+        );
+        let Ok(bash) = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output() else { return };
+        let offered = String::from_utf8(bash.stdout).unwrap();
+        assert!(
+            offered.starts_with(expected) && offered.trim().is_empty() == expected.is_empty(),
+            "{words}: {offered}"
+        );
     }
 }
 

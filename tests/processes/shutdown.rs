@@ -133,13 +133,14 @@ fn a_closed_terminal_ends_every_long_command() {
     let trained = train(&mut lodestone(folder.path())).args(["--steps", "256", "--no-web"]).output().unwrap();
     assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
     let listen = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
-    let long: [(&[&str], &str); 10] = [
+    let long: [(&[&str], &str); 11] = [
         (&["watch", connect[0], connect[1]], "No router"),
         (&["actor", connect[0], connect[1]], "router:"),
         (&["learner", connect[0], connect[1], "--run-dir", "other"], "everything goes to"),
         (&["evaluator", connect[0], connect[1]], "router:"),
         (&["router", "--listen", &listen], "routing"),
         (&["serve", "run"], "Ctrl-C ends"),
+        (&["play"], "Ctrl-C ends"),
         (&["play", "--run-dir", "played"], "Ctrl-C ends"),
         (&["eval", "--pretrained"], "episodes"),
         (&["eval", "--expert"], "episodes"),
@@ -156,6 +157,7 @@ fn a_closed_terminal_ends_every_long_command() {
     let running: Vec<&str> =
         names.zip(&ends).filter(|(_, end)| end.try_recv().is_err()).map(|(name, _)| name).collect();
     assert!(running.is_empty(), "{running:?} go on");
+    assert!(!folder.path().join("runs").exists(), "`play` writes nothing unasked");
     let after = n_saved_steps(&folder.path().join("run"));
     assert!(after > before, "it saved {after} steps after {before}");
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{ChildStdout, Command, Output, Stdio};
 
 use crate::support::program::lodestone;
-use crate::support::served::Process;
+use crate::support::served::{Process, interrupt, train};
 use bus::{Bus, MetricsPublisher};
 use proto::Role;
 use serde_json::{Value, json};
@@ -145,4 +145,28 @@ async fn a_missing_router_and_wrong_use_are_named() {
     let output = lodestone(folder.path()).arg("watch").output().unwrap();
     assert_eq!(output.status.code(), Some(2));
     assert!(String::from_utf8_lossy(&output.stderr).contains("--connect"));
+}
+
+#[test]
+fn a_training_is_found_by_its_folder_and_without_any_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = folder.path().join("runs");
+    std::fs::create_dir(&runs).unwrap();
+    let mut training = lodestone(&runs);
+    train(&mut training).args(["--steps", "1000000000", "--no-web"]).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut training = Process(training.spawn().unwrap());
+    let mut lines = BufReader::new(training.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains("steps/s")));
+    let watch = |args: &[&str]| lodestone(folder.path()).args(["watch", "--once"]).args(args).output().unwrap();
+    for args in [&[][..], &["runs/run"]] {
+        let output = watch(args);
+        let (shown, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        assert!(shown.contains("Run near-goal at unixsock-stream/runs/run/bus.sock"), "{args:?}: {shown}{stderr}");
+    }
+    interrupt(&training);
+    training.0.wait().unwrap();
+    let output = watch(&["runs/run"]);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{stderr}");
+    assert!(stderr.contains("no training listens in runs/run") && stderr.contains("serve runs/run"), "{stderr}");
 }

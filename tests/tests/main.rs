@@ -10,4 +10,5 @@ mod joins;
 mod learning;
 mod pretrained;
 mod repository;
+mod settings;
 mod tidy;

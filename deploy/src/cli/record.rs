@@ -59,7 +59,7 @@ pub struct PerformerArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[group(required = true, multiple = false)]
 pub struct GoalArgs {
-    /// This blueprint: an id, generated ones included, a file, or a folder of files; may be repeated.
+    /// This blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be

@@ -9,7 +9,9 @@ use learner::config::LrSchedule;
 use proto::Valid;
 use runlog::RunPaths;
 
-use crate::config::{ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, merge};
+use crate::config::{
+    ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, explain, merge, schema,
+};
 
 /// Sources of the configuration.
 #[derive(Clone, Debug, Default, Args)]
@@ -18,7 +20,7 @@ pub struct ConfigArgs {
     #[arg(long, value_name = "FILE", env = "LODESTONE_CONFIG")]
     pub config: Option<PathBuf>,
     /// Built-in configuration; --config overrides it if both are given [default: quickstart].
-    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(|preset| preset.name)))]
+    #[arg(long, value_name = "NAME", env = "LODESTONE_PRESET", value_parser = PossibleValuesParser::new(PRESETS.iter().map(of_preset)))]
     pub preset: Option<String>,
     /// One of the paper's ablations; overrides the preset and the file.
     #[arg(long, value_name = "NAME", value_parser = PossibleValuesParser::new(ABLATIONS.iter().map(of_ablation)))]
@@ -38,6 +40,15 @@ pub struct ConfigArgs {
     /// Print the resulting configuration and exit.
     #[arg(long)]
     pub print_config: bool,
+    /// With --print-config: a comment for each key, with its meaning, values, and default.
+    #[arg(long, requires = "print_config")]
+    pub explain: bool,
+    /// With --print-config: only what differs from the preset, as a file for --config.
+    #[arg(long, requires = "print_config")]
+    pub changed: bool,
+    /// With --print-config: the JSON Schema of a configuration file, for editors.
+    #[arg(long, requires = "print_config", conflicts_with_all = ["explain", "changed"])]
+    pub schema: bool,
 }
 
 /// A configuration and where it came from.
@@ -49,6 +60,8 @@ pub struct Settings {
     pub source: String,
     /// The preset, unless a file or an ablation overrides it.
     pub preset: Option<&'static Preset>,
+    /// What the file and the flags change.
+    pub base: Base,
 }
 
 impl ConfigArgs {
@@ -73,7 +86,7 @@ impl ConfigArgs {
     /// Applies `overrides` to the resumed run, the file, or the preset.
     fn merged(&self, resume: Option<&PathBuf>, overrides: &[Override]) -> Result<Settings, ConfigError> {
         let settings = |text: &str, origin: &str, base, source, preset| -> Result<Settings, ConfigError> {
-            Ok(Settings { config: merge(text, origin, base, overrides)?.checked()?, source, preset })
+            Ok(Settings { config: merge(text, origin, base, overrides)?.checked()?, source, preset, base })
         };
         if let Some(folder) = resume {
             // Runs of earlier versions name no base; like all others, they are merged over the defaults.
@@ -91,6 +104,19 @@ impl ConfigArgs {
         let preset = self.named_preset()?;
         let base = Base::Preset(preset);
         settings("", preset.name, base, base.to_string(), Some(preset))
+    }
+
+    /// The configuration as --print-config shows it.
+    ///
+    /// # Errors
+    /// Never for a configuration that was loaded.
+    pub fn printed(&self, settings: &Settings) -> Result<String, ConfigError> {
+        let Settings { config, base, .. } = settings;
+        if self.schema {
+            return Ok(format!("{:#}", schema()));
+        }
+        let text = if self.changed { config.changes(*base)? } else { config.to_toml() };
+        Ok(if self.explain { explain(&text) } else { text })
     }
 
     /// The base that the keys of a file override.
@@ -126,6 +152,11 @@ impl ConfigArgs {
         overrides.extend(flags);
         Ok(overrides)
     }
+}
+
+/// A preset as a value of `--preset`.
+fn of_preset(preset: &Preset) -> PossibleValue {
+    PossibleValue::new(preset.name).help(format!("{}; takes {}", preset.about, preset.takes))
 }
 
 /// An ablation as a value of `--ablation`.

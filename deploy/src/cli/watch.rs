@@ -1,5 +1,7 @@
 //! Arguments of `watch`.
 
+use std::path::PathBuf;
+
 use clap::Args;
 
 use super::KeysArgs;
@@ -8,13 +10,16 @@ use super::values::endpoint;
 /// Arguments of `watch`.
 #[derive(Debug, Args)]
 pub struct WatchArgs {
+    /// Folder of a run that trains on this machine [default: the newest in runs/].
+    #[arg(value_name = "RUN", conflicts_with = "connect")]
+    pub folder: Option<PathBuf>,
     /// Endpoint of the run's router, for example tcp/127.0.0.1:7447, quic/HOST:7447, tls/HOST:7447, or
     /// unixsock-stream//tmp/bus.sock; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
+    #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
     pub connect: Vec<String>,
-    /// Name of the run; unless set, a run is named after its preset.
-    #[arg(long, value_name = "NAME", default_value = "quickstart", env = "LODESTONE_RUN")]
-    pub run: String,
+    /// Name of the run at --connect; unless set, a run is named after its preset [default: quickstart].
+    #[arg(long, value_name = "NAME", env = "LODESTONE_RUN")]
+    pub run: Option<String>,
     /// Keys; those of the role viewer are used.
     #[command(flatten)]
     pub keys: KeysArgs,

@@ -47,7 +47,7 @@ pub(super) fn configure(
 ) -> Result<Option<Settings>, Failure> {
     let settings = args.load(resume, flags)?;
     if args.print_config {
-        terminal.print(&settings.config.to_toml());
+        terminal.print(&args.printed(&settings)?);
         return Ok(None);
     }
     Ok(Some(settings))

@@ -284,15 +284,16 @@ pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<()
     Ok(())
 }
 
-/// Finds the blueprint with this id, in the catalog or by generating it.
+/// Finds the blueprint with this id, in the catalog or by generating it, or else the one with this title.
 ///
 /// # Errors
-/// When the id is unknown; the error contains the nearest id of the catalog.
+/// When there is none; the error contains the nearest id or title of the catalog.
 pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
     let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
-    found.ok_or_else(|| Failure::UnknownBlueprint {
+    let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id)).map(Cow::Borrowed);
+    found.or_else(titled).ok_or_else(|| Failure::UnknownBlueprint {
         id: id.to_owned(),
-        nearest: nearest(id, catalog.iter().map(|blueprint| blueprint.id().as_str())),
+        nearest: nearest(id, catalog.iter().flat_map(|blueprint| [blueprint.id().as_str(), blueprint.title()])),
     })
 }
 
@@ -312,6 +313,13 @@ mod tests {
         let named: Vec<OsString> = named.iter().map(OsString::from).collect();
         let goals = Goals::open(&named).unwrap();
         goals.blueprints().unwrap().iter().map(|blueprint| blueprint.id().to_string()).collect()
+    }
+
+    #[test]
+    fn a_title_stands_for_an_id() {
+        assert_eq!(ids(&["scorpion", "Bull", "16_002"]), ["16_002", "14_003"]);
+        let error = find(Catalog::builtin(), "scorpoin").unwrap_err().to_string();
+        assert!(error.contains("did you mean `scorpion`?"), "{error}");
     }
 
     #[test]

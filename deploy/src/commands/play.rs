@@ -1,6 +1,8 @@
 //! `play`: a web page on which a policy builds.
 
+use std::io::IsTerminal;
 use std::net::{Ipv4Addr, SocketAddr};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
@@ -22,6 +24,9 @@ use crate::shell;
 
 /// Name of the run and of its only service.
 const NAME: &str = "play";
+
+/// Episodes per blueprint of an evaluation that is to be kept.
+const N_EPISODES: u32 = 4;
 
 /// The goals to show.
 pub(super) struct Program {
@@ -52,7 +57,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let mut overrides = vec![
         Override::flag("play", "bus.run", NAME),
-        Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes)),
+        Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes.unwrap_or(N_EPISODES))),
         Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
     if !program.named.is_empty() {
@@ -70,7 +75,7 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
     source.config(&overrides)
 }
 
-/// Evaluates the policy once and serves the page until `shutdown`.
+/// Serves the page until `shutdown`, and evaluates the policy once if that is asked for.
 ///
 /// # Errors
 /// When the page's address is taken, the folder cannot be written, or the evaluation fails.
@@ -85,23 +90,37 @@ pub(super) async fn run(
     let catalog = program.catalog.clone();
     let weights = published(source, config, &catalog)?;
     let weights = Arc::new(weights);
-    let page = services::page(services::web(config), terminal).await?.map(|page| services::Opened {
-        page,
-        about: about(args, program),
-        // So that the first episode does not wait for the bus.
-        first: Some(weights.clone()),
+    let page = services::page(services::web(config), terminal).await?;
+    if let Some(page) = page.as_ref().filter(|_| !args.no_open) {
+        open(&format!("http://{}", page.address()));
+    }
+    // So that the first episode does not wait for the bus.
+    let first = Some(weights.clone());
+    let page = page.map(|page| services::Opened { page, about: about(args, program), first });
+    let kept = args.run_dir.as_deref();
+    let run_dir = kept.map(|folder| RunDir::create(Some(folder), config, None, &Origin::default())).transpose()?;
+    terminal.print(&match &run_dir {
+        Some(run_dir) => format!("episodes and videos go to {}; Ctrl-C ends", run_dir.path().display()),
+        None => "Ctrl-C ends".to_owned(),
     });
-    let run_dir = RunDir::create(args.run_dir.as_deref(), config, None, &Origin::default())?;
-    terminal.print(&format!("episodes and videos go to {}; Ctrl-C ends", run_dir.path().display()));
     let Some(bus) = join_bus(&config.part(|config| &config.bus), &shutdown).await? else { return Ok(()) };
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
+    let folder = run_dir.as_ref().map(RunDir::path);
+    let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), folder) };
+    let page = match page {
+        Some(page) if args.episodes.is_none() && run_dir.is_none() => {
+            let ended = services::show(setup, page, &bus, shutdown).await;
+            bus.close().await;
+            return ended;
+        }
+        page => page,
+    };
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
     let (progress, counted) = watch::channel(None);
     // Show a bar only: without a terminal, the page shows the progress.
     let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || false));
-    let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), Some(run_dir.path())) };
     let stop = Stop { now: shutdown, ..Stop::default() };
     let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
     let ended = services::evaluate(setup, listeners, page, bus.clone(), stop).await;
@@ -110,6 +129,19 @@ pub(super) async fn run(
     counting.await.map_err(panicked)?;
     shown.await.map_err(panicked)?;
     ended
+}
+
+/// Opens the page in a browser, where a person at a terminal has one.
+fn open(address: &str) {
+    let has_display = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
+    if !std::io::stdout().is_terminal() || !(has_display || cfg!(target_os = "macos")) {
+        return;
+    }
+    let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let mut command = Command::new(program);
+    command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    // It may go on for as long as the browser does.
+    std::thread::spawn(move || command.status());
 }
 
 /// Describes the page, which shows no training here.

@@ -275,6 +275,27 @@ pub(super) async fn evaluate(
     Ok(())
 }
 
+/// Serves a page on which a policy builds, without evaluating it, until `shutdown`.
+pub(super) async fn show(
+    setup: EvaluatorSetup,
+    mut opened: Opened,
+    bus: &Bus,
+    shutdown: CancellationToken,
+) -> Result<(), Failure> {
+    let ((passes, its_passes), (_weights, its_weights)) =
+        (mpsc::unbounded_channel(), watch::channel(opened.first.take()));
+    let (page, source) = opened.onto(&setup, its_passes, its_weights);
+    // The page ends, and tells browsers so, when no evaluation can come any more.
+    let ending = async {
+        shutdown.cancelled().await;
+        drop(passes);
+    };
+    let serving = async { page.serve(bus, source).await.inspect_err(|_| shutdown.cancel()) };
+    let (served, ()) = tokio::join!(serving, ending);
+    served?;
+    Ok(())
+}
+
 impl Opened {
     /// Splits this into the page and the source of what it shows, with the settings of this evaluator.
     fn onto(

@@ -1,5 +1,6 @@
 //! `train`: learner, actors, and evaluator in this process, on its own bus.
 
+use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
@@ -7,7 +8,7 @@ use std::time::Instant;
 use actor::ActorSetup;
 use blueprints::Catalog;
 use blueprints::outside::as_text;
-use bus::Bus;
+use bus::{Bus, BusConfig};
 use dashboard::{About, Farewell, Page};
 use evaluator::{EvaluationProgress, EvaluatorSetup, Stop};
 use learner::{Arrivals, LearnerSetup, RunOptions, Source};
@@ -104,7 +105,8 @@ pub(super) async fn run(
     let config = &settings.config;
     let Prepared { setup, run_dir, page, health } = prepare(settings, args, goals.catalog(), &origin, terminal).await?;
     terminal.print(&introduction(settings, &origin, &run_dir));
-    let joined = join_bus(&config.part(|config| &config.bus), &shutdown).await.inspect_err(|_| run_dir.abandon())?;
+    let bus = watchable(config.part(|config| &config.bus), run_dir.path());
+    let joined = join_bus(&bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
     let Some(bus) = joined else {
         run_dir.abandon();
         return Err(Failure::NothingWritten(run_dir.path().to_owned()));
@@ -297,6 +299,20 @@ fn panicked(panic: JoinError) -> Failure {
     Failure::Service(panic.into())
 }
 
+/// The bus with a socket in the run's folder, so that `watch` finds it; without one if the file system or the keys rule
+/// it out.
+fn watchable(bus: Valid<BusConfig>, folder: &Path) -> Valid<BusConfig> {
+    let socket = BusConfig::socket(folder);
+    // A process that was killed leaves its socket behind. No other one is alive, because this one holds the folder.
+    drop(std::fs::remove_file(&socket));
+    // An endpoint is text in which these characters begin something else.
+    let is_named = socket.to_str().is_some_and(|name| !name.contains(['?', '#']));
+    match bus.with(|bus| bus.listen.push(BusConfig::socket_endpoint(folder))) {
+        Ok(with_socket) if is_named && UnixListener::bind(&socket).is_ok() => with_socket,
+        _ => bus,
+    }
+}
+
 /// Serves the page at the configured address, or else on a free port, where a failure is only logged.
 async fn page(config: &Valid<Config>, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
     if args.no_web {
@@ -319,7 +335,10 @@ fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> Strin
     let program = program();
     let run = &config.bus.run;
     let listening = match &config.bus.listen[..] {
-        [] => format!("\nfor actors elsewhere, or `{program} watch`: --listen tcp/127.0.0.1:7447"),
+        [] => format!(
+            "\nin a terminal: {program} watch {}; for actors elsewhere: --listen tcp/127.0.0.1:7447",
+            shell::path(run_dir.path())
+        ),
         endpoints => format!(
             "\nothers can join at {}, run `{run}`\nin a terminal: {program} watch --connect {} --run {run}",
             endpoints.join(" and "),

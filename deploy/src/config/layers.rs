@@ -141,6 +141,14 @@ impl Base {
         keys.get("base").and_then(toml::Value::as_str).map(Self::find).transpose()
     }
 
+    /// The name that [`Self::find`] finds.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Defaults => NO_BASE,
+            Self::Preset(preset) => preset.name,
+        }
+    }
+
     fn keys(self) -> Result<toml::Table, ConfigError> {
         match self {
             Self::Defaults => Ok(toml::Table::new()),
@@ -215,6 +223,25 @@ fn put_over(table: &mut toml::Table, keys: toml::Table) {
             }
         }
     }
+}
+
+/// The keys of `now` that [`put_over`] has to put over `before` to get `now`.
+pub(super) fn changed(before: &toml::Table, now: toml::Table) -> toml::Table {
+    let mut changes = toml::Table::new();
+    for (key, value) in now {
+        match (before.get(&key), value) {
+            (Some(old), new) if *old == new => {}
+            (Some(toml::Value::Table(old)), toml::Value::Table(new))
+                if old.get("kind") == new.get("kind") && !CHOICES.contains(&key.as_str()) =>
+            {
+                let kind = new.get("kind").map(|kind| ("kind".to_owned(), kind.clone()));
+                let inside = kind.into_iter().chain(changed(old, new)).collect();
+                changes.insert(key, toml::Value::Table(inside));
+            }
+            (_, new) => drop(changes.insert(key, new)),
+        }
+    }
+    changes
 }
 
 fn to_config(table: &toml::Table, origin: &str) -> Result<Config, ConfigError> {

@@ -5,6 +5,7 @@
 
 mod ablations;
 mod error;
+mod keys;
 mod layers;
 mod presets;
 mod variables;
@@ -23,6 +24,7 @@ use proto::{CanonicalSettings, InvalidSetting, Valid, settings};
 pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
+pub use keys::{Key, explain, keys, schema};
 pub use layers::{Base, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 pub use variables::check_variables;
@@ -86,6 +88,21 @@ impl Config {
         let mut table = toml::Value::Table(self.to_table());
         shorten(&mut table);
         format!("base = \"{NO_BASE}\"\n{}", toml::to_string(&table).expect("a table is TOML"))
+    }
+
+    /// A file of the keys that differ from those of `base`; the whole tree, if keys of the base are absent here.
+    ///
+    /// # Errors
+    /// Never for the bases of this program.
+    ///
+    /// # Panics
+    /// As [`Self::to_toml`].
+    pub fn changes(&self, base: Base) -> Result<String, ConfigError> {
+        let before = merge("", "", base, &[])?.to_table();
+        let mut changed = toml::Value::Table(layers::changed(&before, self.to_table()));
+        shorten(&mut changed);
+        let text = format!("base = \"{}\"\n{}", base.name(), toml::to_string(&changed).expect("a table is TOML"));
+        Ok(if Self::parse(&text, "")? == *self { text } else { self.to_toml() })
     }
 
     fn to_table(&self) -> toml::Table {

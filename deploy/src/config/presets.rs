@@ -7,6 +7,8 @@ use super::{ConfigError, error::nearest};
 pub struct Preset {
     /// Name on the command line; also the file name without its extension.
     pub name: &'static str,
+    /// What it is for.
+    pub about: &'static str,
     /// What a training takes, on two cores unless the text says otherwise.
     pub takes: &'static str,
     /// The text of the file.
@@ -14,8 +16,8 @@ pub struct Preset {
 }
 
 macro_rules! presets {
-    ($($name:literal: $takes:expr),+ $(,)?) => {
-        &[$(Preset { name: $name, takes: $takes, text: include_str!(concat!("../../config/", $name, ".toml")) }),+]
+    ($($name:literal: $about:expr, $takes:expr;)+) => {
+        &[$(Preset { name: $name, about: $about, takes: $takes, text: include_str!(concat!("../../config/", $name, ".toml")) }),+]
     };
 }
 
@@ -24,10 +26,13 @@ pub const DEFAULT_PRESET: &str = "quickstart";
 
 /// All presets, the default first.
 pub const PRESETS: &[Preset] = presets![
-    "quickstart": "about a minute on two cores, 0.3 GB of memory and 0.1 GB of disk",
-    "laptop": "about 35 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time",
-    "near-goal": "one to two minutes on two cores",
-    "paper": "months on two cores: meant for hundreds of actors and a GPU, and for weeks with them",
+    "quickstart": "a first look, at blueprints of two to four blocks",
+        "about a minute on two cores, 0.3 GB of memory and 0.1 GB of disk";
+    "laptop": "all training blueprints",
+        "about 35 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time";
+    "near-goal": "a check of the whole system, with one small goal", "one to two minutes on two cores";
+    "paper": "the paper's protocol, for comparisons with it",
+        "months on two cores: meant for hundreds of actors and a GPU, and for weeks with them";
 ];
 
 impl Preset {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::layers::{PREFIX, SETTINGS};
-use super::{Base, ConfigError, PRESETS, merge, nearest};
+use super::{ConfigError, keys, nearest};
 
 /// Variables of tests, of Compose, and of the scripts for Slurm, which this program does not read.
 const OTHERS: [&str; 18] = [
@@ -44,7 +44,9 @@ pub fn check_variables<'n>(
     let known = known(program);
     let means_nothing = |name: &&&str| !name.contains("__") && !known.contains(**name) && !is_service(name);
     let Some(unknown) = ours.iter().find(means_nothing) else { return Ok(()) };
-    let candidates: BTreeSet<String> = known.into_iter().chain(keys()).collect();
+    let settings =
+        keys().into_iter().filter(|key| !key.is_section()).map(|key| key.name.to_uppercase().replace('.', "__"));
+    let candidates: BTreeSet<String> = known.into_iter().chain(settings).collect();
     let nearest = nearest(unknown, candidates.iter().map(String::as_str));
     Err(ConfigError::UnknownVariable {
         name: format!("{PREFIX}{unknown}"),
@@ -61,26 +63,6 @@ fn known(program: &clap::Command) -> BTreeSet<String> {
     }
     let mut found: BTreeSet<String> = SETTINGS.iter().chain(&OTHERS).map(|&name| name.to_owned()).collect();
     of_flags(program, &mut found);
-    found
-}
-
-/// All settings as variables: those of the defaults, and those that only a preset has.
-fn keys() -> BTreeSet<String> {
-    fn of_table(before: &str, table: &toml::Table, found: &mut BTreeSet<String>) {
-        for (key, value) in table {
-            let name = format!("{before}{}", key.to_ascii_uppercase());
-            match value {
-                toml::Value::Table(inside) => of_table(&format!("{name}__"), inside, found),
-                _ => drop(found.insert(name)),
-            }
-        }
-    }
-    let mut found = BTreeSet::new();
-    for base in [Base::Defaults].into_iter().chain(PRESETS.iter().map(Base::Preset)) {
-        if let Ok(config) = merge("", "", base, &[]) {
-            of_table("", &config.to_table(), &mut found);
-        }
-    }
     found
 }
 
