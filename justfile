@@ -56,6 +56,10 @@ test *ARGS:
 python:
     .ci/run python
 
+# Run the examples that need more packages.
+examples:
+    .ci/run examples
+
 # Run both fuzz targets for a minute each.
 fuzz:
     .ci/run fuzz
