@@ -11,7 +11,7 @@ ci:
 # Run all steps, whatever changed, and those that are too slow for a change.
 nightly:
     CI_CHANGED_SINCE= .ci/run
-    .ci/run book release
+    .ci/run book examples release
 
 # Make a book of the pages, and check its links; needs the network for mdBook.
 book:
@@ -64,6 +64,10 @@ test *ARGS:
 # Test the Python package with third-party checkers, the PyTorch network, and its ONNX export.
 python:
     .ci/run python
+
+# Run the examples that need more packages.
+examples:
+    .ci/run examples
 
 # Run both fuzz targets for a minute each.
 fuzz:

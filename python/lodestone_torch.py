@@ -2,11 +2,9 @@
 
     policy = Policy.load("policy.safetensors")              # what `lodestone export` writes
     logits, locs, scales, values = policy(nodes, edges, globals_)
-    policy.export_onnx("policy.onnx")
 
-`python lodestone_torch.py policy.safetensors policy.onnx` does the same as the last line. `Policy` is for inference: it
-normalizes features and folds its parameters once. `GraphNetwork` is for training: it folds in every forward pass, so
-gradients reach every parameter.
+`Policy` is for inference: it normalizes features and folds its parameters once. `GraphNetwork` is for training: it folds
+in every forward pass, so gradients reach every parameter.
 
 Shapes for a batch of B scenes, where `nd`, `ed`, and `gd` count the features listed in policy/src/features.rs:
 
@@ -45,7 +43,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -550,81 +547,3 @@ class Policy(nn.Module):
             features.append(((x - mean) / std).clamp(-limit, limit))
         output = self.network(*features, self.folded())
         return output._replace(values=output.values * self.value_std + self.value_mean)
-
-    def export_onnx(self, path: str | Path) -> None:
-        """Writes an ONNX graph for any batch size B. Inputs: nodes, edges, globals. Outputs: the fields of `Output`.
-
-        With the mixture head, there are three more inputs. The outputs are logits, values, and three more:
-
-        | tensor | shape, type | meaning |
-        |---|---|---|
-        | relations (input) | [B, 16, 16, 8] float32 | as in `lodestone.proposals(env)` |
-        | offered (input) | [B, 16, 33] bool | the same |
-        | first (input) | [B, 2] int64 | block and slot that the first gripper drew |
-        | first_slots | [B, 16, 33] | logits of the first gripper's slots, for each block; they do not depend on `first` |
-        | second_blocks | [B, 16] | logits of the second gripper's block, after `first` |
-        | second_slots | [B, 16, 33] | logits of the second gripper's slots, for each block, after `first` |
-
-        So draw the first gripper's block and slot from `logits[:, 0]` and `first_slots`, with any `first`, and run the
-        graph again with them. With one gripper, there are neither `first` nor the outputs of the second.
-        """
-        c = self.network.config
-        # Any number except 1, which the exporter would treat as a constant.
-        b, n_edges = 2, N_BLOCKS * (N_BLOCKS - 1)
-        example = [torch.zeros(b, *shape) for shape in [(N_BLOCKS, c.node), (n_edges, c.edge), (c.global_,)]]
-        inputs, outputs, graph = ["nodes", "edges", "globals"], list(Output._fields), self
-        if c.mixture:
-            inputs, outputs, graph = [*inputs, "relations", "offered"], MIXTURE_OUTPUTS, MixtureGraph(self)
-            example.append(torch.zeros(b, N_BLOCKS, N_BLOCKS, N_RELATION))
-            example.append(torch.ones(b, N_BLOCKS, N_SLOTS, dtype=torch.bool))
-            if c.n_grippers > 1:
-                inputs.append("first")
-                example.append(torch.zeros(b, 2, dtype=torch.int64))
-            else:
-                outputs = outputs[:-2]
-        batch = torch.export.Dim("batch")
-        torch.onnx.export(
-            graph,
-            tuple(example),
-            str(path),
-            input_names=inputs,
-            output_names=outputs,
-            dynamic_shapes=tuple({0: batch} for _ in example),
-            dynamo=True,
-            external_data=False,
-            verbose=False,
-        )
-
-
-MIXTURE_OUTPUTS = ["logits", "values", "first_slots", "second_blocks", "second_slots"]
-
-
-class MixtureGraph(nn.Module):
-    """What is exported of a policy with the mixture head."""
-
-    def __init__(self, policy: Policy):
-        super().__init__()
-        self.policy = policy
-
-    @torch.no_grad()
-    def forward(
-        self,
-        nodes: Tensor,
-        edges: Tensor,
-        globals_: Tensor,
-        relations: Tensor,
-        offered: Tensor,
-        first: Tensor | None = None,
-    ) -> tuple[Tensor, ...]:
-        output, proposals = self.policy(nodes, edges, globals_), Proposals(relations, offered)
-        found = (*output[:-1], slot_logits(output, proposals))
-        if first is None:
-            return found
-        draw = Draw(*first.unbind(-1))
-        return (*found, second_logits(output, proposals, draw), slot_logits(output, proposals, draw))
-
-
-if __name__ == "__main__":
-    if len(sys.argv) != 3:
-        sys.exit(f"usage: python {sys.argv[0]} policy.safetensors policy.onnx")
-    Policy.load(sys.argv[1]).export_onnx(sys.argv[2])

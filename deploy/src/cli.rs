@@ -366,6 +366,9 @@ pub struct ExportArgs {
     /// Output file, which must not exist.
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
+    /// Write the network as an ONNX graph, for other runtimes.
+    #[arg(long)]
+    pub onnx: bool,
 }
 
 /// Arguments of `play`.

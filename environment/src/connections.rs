@@ -207,7 +207,7 @@ impl Connections {
         let Some(relative) = nearest.and_then(|pair| pair.snap(pose_a, pose_b, &self.config)) else { return };
         // Within a component, the lattice already fixes the relative pose. A snap to another one would strain it
         // forever.
-        if self.same_component(a, b) && self.relative_in_component(a, b) != Some(relative) {
+        if self.same_component(a, b) && relative_along(self.live.iter().map(|c| c.joint), a, b) != Some(relative) {
             return;
         }
         self.insert(engine, Joint { a, b, relative }, SNAP_FREQUENCY_HZ);
@@ -233,39 +233,6 @@ impl Connections {
         self.regroup();
     }
 
-    /// Returns the lattice pose of `b` relative to `a` along the connections, or `None` if no path joins them.
-    fn relative_in_component(&self, a: BlockIdx, b: BlockIdx) -> Option<RelativePlacement> {
-        let origin = Placement { block: a, center_half_units: [0; 3], rotation: blueprints::CubeRotation::IDENTITY };
-        let mut reached = vec![origin];
-        let mut next = 0;
-        while next < reached.len() {
-            let from = reached[next];
-            next += 1;
-            if from.block == b {
-                return Some(RelativePlacement::between(&origin, &from));
-            }
-            for connection in &self.live {
-                let Joint { a: low, b: high, relative } = connection.joint;
-                let (to, step) = if low == from.block {
-                    (high, relative)
-                } else if high == from.block {
-                    (low, relative.inverse())
-                } else {
-                    continue;
-                };
-                if reached.iter().all(|p| p.block != to) {
-                    let offset = from.rotation.apply(step.offset_half_units);
-                    reached.push(Placement {
-                        block: to,
-                        center_half_units: std::array::from_fn(|i| from.center_half_units[i] + offset[i]),
-                        rotation: from.rotation.compose(step.rotation),
-                    });
-                }
-            }
-        }
-        None
-    }
-
     fn regroup(&mut self) {
         self.linked = [[false; N_BLOCKS]; N_BLOCKS];
         self.components = std::array::from_fn(|i| i);
@@ -276,6 +243,42 @@ impl Connections {
             self.components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
         }
     }
+}
+
+/// Returns the lattice pose of `b` relative to `a` along the connections, or `None` if no path joins them.
+pub(crate) fn relative_along(
+    joints: impl Iterator<Item = Joint> + Clone,
+    a: BlockIdx,
+    b: BlockIdx,
+) -> Option<RelativePlacement> {
+    let origin = Placement { block: a, center_half_units: [0; 3], rotation: blueprints::CubeRotation::IDENTITY };
+    let mut reached = vec![origin];
+    let mut next = 0;
+    while next < reached.len() {
+        let from = reached[next];
+        next += 1;
+        if from.block == b {
+            return Some(RelativePlacement::between(&origin, &from));
+        }
+        for Joint { a: low, b: high, relative } in joints.clone() {
+            let (to, step) = if low == from.block {
+                (high, relative)
+            } else if high == from.block {
+                (low, relative.inverse())
+            } else {
+                continue;
+            };
+            if reached.iter().all(|p| p.block != to) {
+                let offset = from.rotation.apply(step.offset_half_units);
+                reached.push(Placement {
+                    block: to,
+                    center_half_units: std::array::from_fn(|i| from.center_half_units[i] + offset[i]),
+                    rotation: from.rotation.compose(step.rotation),
+                });
+            }
+        }
+    }
+    None
 }
 
 /// Returns the number of substeps in a time.

@@ -1,11 +1,12 @@
 //! The physical world of magnet blocks: initial states, steps, rewards, and success.
 //!
-//! Reading order: [`mod@env`] (the interface) → [`world`] → `reset`, `randomization`, `grippers`, `magnets`,
+//! Reading order: [`mod@env`] (the interface) → [`world`] → `reset`, [`arrangement`], `randomization`, `grippers`, `magnets`,
 //! `connections` (what happens in a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions)
 //! → [`vec_env`] (many worlds at a time) → [`expert`] → [`config`] → [`contract`] (checks for any environment).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod arrangement;
 pub mod config;
 pub mod contract;
 pub mod env;
@@ -25,6 +26,7 @@ mod physics_tests;
 mod randomization;
 mod reset;
 
+pub use arrangement::{Arrangement, ArrangementError};
 pub use config::EnvironmentConfig;
 pub use env::{Env, ResetError, StartError, StepResult};
 pub use expert::{Activity, Expert, ExpertAgent};

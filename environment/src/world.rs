@@ -5,6 +5,7 @@ use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use crate::arrangement::{Arrangement, ArrangementError};
 use crate::config::{EnvironmentConfig, PhysicsConfig};
 use crate::connections::{Connections, block_array};
 use crate::convert::to_pose;
@@ -30,7 +31,7 @@ const MAX_MERGED: u8 = 2;
 /// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m. It exceeds the distance
 /// that a gripper can carry a block along one axis in an episode (3 m/s for 10 s). Episodes in which the agent flies off
 /// with its blocks must stay in the data, or it never learns not to.
-const RUNAWAY_M: f32 = 40.0;
+pub(crate) const RUNAWAY_M: f32 = 40.0;
 
 /// Force above which a contact is heavy, in weights of a unit cube.
 const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
@@ -97,6 +98,17 @@ impl World {
         &self.config
     }
 
+    /// Begins the episode anew in an arrangement, with the goal and the drawn settings that it has. What follows depends
+    /// only on these, the arrangement, and the actions.
+    ///
+    /// # Errors
+    /// Returns an error if the arrangement is illegal. The world is then unchanged.
+    pub fn set_scene(&mut self, scene: &Arrangement) -> Result<(), ArrangementError> {
+        self.place(&scene.layout()?);
+        self.begin();
+        Ok(())
+    }
+
     /// Recreates the bodies, magnets, and grippers for an episode with its own settings.
     fn refit(&mut self, config: &EnvironmentConfig) {
         let inventory = Inventory::standard();
@@ -113,6 +125,13 @@ impl World {
         for &joint in &layout.joints {
             self.connections.insert_built(&mut self.engine, joint);
         }
+    }
+
+    /// Begins an episode in the present state.
+    fn begin(&mut self) {
+        (self.n_steps, self.alive) = (0, true);
+        self.observe(0);
+        self.potential = potential(&self.scene, &self.blueprint, &self.config.reward);
     }
 
     /// Runs the substeps of a control step and returns its number of heavy contacts.
@@ -184,10 +203,7 @@ impl Env for World {
             None => self.grippers.release(&mut self.engine),
         }
         self.blueprint = blueprint;
-        self.n_steps = 0;
-        self.alive = true;
-        self.observe(0);
-        self.potential = potential(&self.scene, &self.blueprint, &self.config.reward);
+        self.begin();
         Ok(())
     }
 

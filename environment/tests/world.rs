@@ -6,7 +6,7 @@ use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::config::{RandomizationConfig, RewardConfig, SuccessConfig};
 use environment::reward::potential;
 use environment::success::is_success;
-use environment::{Env, EnvironmentConfig, Expert, StableSuccess, World, contract};
+use environment::{Arrangement, Env, EnvironmentConfig, Expert, StableSuccess, World, contract};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task, Valid};
@@ -114,6 +114,63 @@ fn a_clone_goes_on_bit_for_bit() {
         assert_eq!(worlds.len(), 16);
         assert!(worlds.iter().all(|world| world.scene() == worlds[0].scene()), "as it is");
     }
+}
+
+fn arrangement(scene: &Scene) -> Arrangement {
+    Arrangement { poses: scene.blocks, connections: scene.joints.iter().map(|joint| (joint.a, joint.b)).collect() }
+}
+
+#[test]
+fn what_follows_a_set_scene_depends_on_nothing_before_it() {
+    let catalog = Catalog::builtin();
+    let goal = catalog.get(&"4_000".parse().unwrap()).unwrap();
+    for start in [Start::Scattered, Start::Prebuilt("6_000".parse().unwrap()), Start::NearGoal { undone: 2 }] {
+        let config = Valid::default();
+        let mut worlds = [World::new(&config), World::new(&config)];
+        worlds.iter_mut().for_each(|world| world.reset(&task(goal, start.clone(), 1), catalog).unwrap());
+        let mut expert = Expert::new(&config, worlds[0].blueprint()).unwrap();
+        for _ in 0..20 {
+            let action = expert.act(worlds[0].scene());
+            worlds[0].step(&action);
+        }
+        let scene = worlds[0].scene().clone();
+        worlds.iter_mut().for_each(|world| world.set_scene(&arrangement(&scene)).unwrap());
+        assert_eq!(worlds[0].scene().joints, scene.joints);
+        for step in 0..100 {
+            let action = expert.act(worlds[0].scene());
+            let results = worlds.each_mut().map(|world| world.step(&action));
+            assert!(results[0] == results[1] && worlds[0].scene() == worlds[1].scene(), "step {step}");
+            if step == 99 {
+                assert_eq!(results[0].status, Status::Success, "{start:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_illegal_scene_is_refused_by_what_is_wrong() {
+    let catalog = Catalog::builtin();
+    let goal = catalog.get(&"4_000".parse().unwrap()).unwrap();
+    let mut world = world(|_| {});
+    world.reset(&task(goal, Start::Prebuilt(goal.id().clone()), 1), catalog).unwrap();
+    let (before, Joint { a, b, .. }) = (world.scene().clone(), world.scene().joints[0]);
+    let loose = BlockIdx::all().find(|block| !goal.contains(*block)).unwrap();
+    let mut refused = |change: &dyn Fn(&mut Arrangement), expected: &str| {
+        let mut scene = arrangement(&before);
+        change(&mut scene);
+        let error = world.set_scene(&scene).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+        assert_eq!(*world.scene(), before);
+    };
+    let [i, j] = [a, loose].map(|block| block.get());
+    refused(&|scene| scene.poses[i].position[0] = f32::NAN, &format!("block {i} is at [NaN"));
+    refused(&|scene| scene.poses[i].position[0] = 41.0, "within 40 m of the origin");
+    refused(&|scene| scene.poses[i].orientation = [0.5; 4].map(|x| x * 1.1), "expected a unit quaternion");
+    refused(&|scene| scene.poses[j].position[2] -= 0.11, &format!("block {j} is 0.1"));
+    refused(&|scene| scene.poses[j].position = scene.poses[i].position, &format!("blocks {} and", i.min(j)));
+    refused(&|scene| scene.connections.push((a, loose)), "expected two blocks with opposite magnets");
+    refused(&|scene| scene.connections.push((a, a)), "expected two blocks with opposite magnets");
+    refused(&|scene| scene.connections.push((b, a)), "repeats or contradicts");
 }
 
 #[test]

@@ -6,7 +6,7 @@ mod trial;
 use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::Device;
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, N_GRIPPERS, Normalization, Observation,
+    ActionMode, Agent, CanonicalSettings, Decision, N_GRIPPERS, Normalization, Observation,
     SettingsDifference, Valid, Weights, WeightsVersion,
 };
 use rand_chacha::ChaCha8Rng;
@@ -26,9 +26,6 @@ pub use attention::Attention;
 /// Why a policy or its weights are refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyError {
-    /// The configuration is invalid.
-    #[error(transparent)]
-    Config(#[from] InvalidSetting),
     /// The weights are of a run with other settings of the policy or, for an actor, the world.
     #[error("weights {version} are of a run with other settings")]
     OtherSettings {

@@ -13,9 +13,9 @@ use std::fmt::Debug;
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::vec_env::generator;
-use environment::{EnvironmentConfig, VecEnv, World, sample_assignment};
+use environment::{VecEnv, World, sample_assignment};
 use policy::{FeatureBatch, Policy, PolicyConfig};
-use proto::{Action, ActionMode, Agent, Decision, Observation, Start, Status, Task};
+use proto::{Action, ActionMode, Agent, Decision, Observation, Start, Status, Task, Valid};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 

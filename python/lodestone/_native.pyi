@@ -128,6 +128,15 @@ class Worlds:
     def scene(self, row: int) -> dict[str, Any]:
         """The state of a world; `lodestone.AssemblyEnv.scene` says what is in it."""
 
+    def set_scene(
+        self,
+        row: int,
+        positions: NDArray[np.float32],
+        orientations: NDArray[np.float32],
+        connections: Sequence[tuple[int, int]],
+    ) -> None:
+        """Begins a world's episode anew with blocks at rest: positions [16, 3], quaternions [16, 4], and connected pairs."""
+
     def picture(self, row: int, width: int, height: int) -> NDArray[np.uint8]:
         """A picture of a world and its goal, [height, width, 3]; sides are 32 to 4096 pixels."""
 

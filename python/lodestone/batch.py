@@ -315,6 +315,19 @@ class Batch:
         moves = self.within_mask(moves.clip(-1.0, 1.0))
         return flatten(choices, moves).reshape(self.n, -1) if self.flat_action else {"choices": choices, "moves": moves}
 
+    def set_scene(self, row: int, scene: Mapping[str, Any], out: Observation) -> None:
+        """Begins a world's episode anew in a scene and writes the observations of all worlds to `out`."""
+        self.check_open()
+        names = ("positions", "orientations", "connections")
+        positions, orientations, connections = parts_of("scene", checks.mapping("scene", scene), names)
+        positions = checks.numbers("scene: positions", positions, (N_BLOCKS, 3))
+        orientations = checks.numbers("scene: orientations", orientations, (N_BLOCKS, 4))
+        pairs = np.atleast_1d(checks.array("scene: connections", connections, "pairs of blocks"))
+        # An empty list has no type.
+        pairs = checks.blocks("scene: connections", pairs, (len(pairs), 2)) if pairs.size else np.empty((0, 2), np.int64)
+        self.worlds.set_scene(row, positions, orientations, [(int(a), int(b)) for a, b in pairs])
+        self.worlds.observe(self.worlds.features, arrays(out))
+
     def about(self, row: int) -> dict[str, Any]:
         """Returns the episode's info dictionary for `reset`."""
         blueprint, start, _ = self.worlds.episode(row)

@@ -112,6 +112,19 @@ class AssemblyEnv(gymnasium.Env[Observation, Action]):
         """
         return self.batch.worlds.scene(0)
 
+    def set_scene(self, scene: Mapping[str, Any]) -> Observation:
+        """Begins the episode anew in a scene, with the same goal and no steps taken; returns the observation.
+
+        Of what `scene` returns, only `positions`, `orientations`, and `connections` count: the blocks are at rest, and
+        the grippers hold nothing. What follows depends only on these, the episode's goal and settings, and the actions.
+        ValueError if a block is in another one by more than 8 cm or in the ground by more than 10 cm, or if connected
+        blocks do not fit together, as while grippers tear them apart.
+        """
+        out = self.batch.empty()
+        self.batch.set_scene(0, scene, out)
+        self._show()
+        return row_of(out, 0)
+
     def _show(self) -> None:
         if self.render_mode == "human":
             if self._window is None:

@@ -139,6 +139,12 @@ class AssemblyVectorEnv(VectorEnv[Observation, Action, np.ndarray]):
         self.batch.check_open()
         return self.batch.worlds.scene(checks.whole("row", row, 0, self.num_envs - 1))
 
+    def set_scene(self, row: int, scene: Mapping[str, Any]) -> Observation:
+        """Begins a world's episode anew in a scene, as `AssemblyEnv.set_scene` does; returns all observations."""
+        self.batch.set_scene(checks.whole("row", row, 0, self.num_envs - 1), scene, self._observation)
+        self._ended[row] = False
+        return self._observed()
+
     def close_extras(self, **kwargs: Any) -> None:
         """Gives the worlds up. Afterward, all methods that need them raise an error."""
         del kwargs

@@ -4,7 +4,7 @@
 //! two minutes of compile time.
 
 use policy::PolicyConfig;
-use proto::{CanonicalSettings, Normalization, Weights, WeightsVersion};
+use proto::{CanonicalSettings, InvalidSetting, Normalization, Valid, Weights, WeightsVersion};
 use safetensors::tensor::Dtype;
 use safetensors::{SafeTensorError, SafeTensors};
 use serde::Deserialize;
@@ -27,6 +27,9 @@ pub(crate) enum ModelError {
     /// The metadata entry is invalid.
     #[error("its entry `{ENTRY}` cannot be read")]
     Entry(#[from] serde_json::Error),
+    /// Its configuration is invalid.
+    #[error(transparent)]
+    Config(#[from] InvalidSetting),
     /// The format version is not supported.
     #[error("its format version is {0}, this package reads {FORMAT_VERSION}")]
     Version(u32),
@@ -55,7 +58,7 @@ pub(crate) enum ModelError {
 /// A frozen policy: its configuration and its weights.
 #[derive(Debug)]
 pub(crate) struct Model {
-    pub(crate) config: PolicyConfig,
+    pub(crate) config: Valid<PolicyConfig>,
     pub(crate) weights: Weights,
 }
 
@@ -140,6 +143,6 @@ impl Model {
             task_probabilities: Default::default(),
             reverse_reach: Default::default(),
         };
-        Ok(Self { config: header.policy, weights })
+        Ok(Self { config: Valid::new(header.policy)?, weights })
     }
 }

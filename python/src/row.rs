@@ -1,7 +1,9 @@
 //! One world of a batch, with the random generator of its episodes.
 
 use blueprints::{BlockIdx, N_BLOCKS};
-use environment::{Env, EnvironmentConfig, Expert, ResetError, StartError, StepResult, World};
+use environment::{
+    Arrangement, ArrangementError, Env, EnvironmentConfig, Expert, ResetError, StartError, StepResult, World,
+};
 use policy::FeatureConfig;
 use policy::features::write_features;
 use policy::proposals::Proposals;
@@ -92,9 +94,25 @@ impl Row {
     /// Takes note of the episode that the world has just started.
     fn opened(&mut self, task: Task) {
         self.history.begin(&task);
-        (self.task, self.status) = (Some(task), Status::Running);
+        self.task = Some(task);
+        self.observe_opening();
+    }
+
+    fn observe_opening(&mut self) {
+        self.status = Status::Running;
         (self.opening, self.stage, self.expert) = (self.world.scene().clone(), None, None);
         self.proposals = None;
+    }
+
+    /// Begins the episode anew in a scene.
+    ///
+    /// # Errors
+    /// Returns an error if the scene is illegal. The world is then unchanged.
+    pub(crate) fn set_scene(&mut self, scene: &Arrangement) -> Result<(), ArrangementError> {
+        self.world.set_scene(scene)?;
+        self.history.set_scene(scene);
+        self.observe_opening();
+        Ok(())
     }
 
     /// Advances the world by one step.
@@ -134,9 +152,12 @@ impl Row {
 
     fn replay(&mut self, tasks: &Tasks, episodes: &[EpisodeState]) -> Result<(), HistoryError> {
         for episode in episodes {
-            let (task, actions) = read(episode).ok_or(HistoryError::Damaged)?;
+            let (task, scene, actions) = read(episode).ok_or(HistoryError::Damaged)?;
             self.world.reset(&task, &tasks.goals.catalog)?;
             self.opened(task);
+            if let Some(scene) = scene {
+                self.set_scene(&scene)?;
+            }
             for action in actions {
                 self.step(&action);
             }

@@ -52,7 +52,8 @@ fn explained<T: DeserializeOwned + Section>(name: &str, text: &str) -> Option<py
     }
     let words = || error.rsplit_once("expected ").map_or(error.as_str(), |(_, expected)| expected).to_owned();
     let expected = range::<T>(name, &path).unwrap_or_else(words);
-    Some(refused(&InvalidSetting { key: dotted(name, &path), value: value.to_string(), expected }))
+    let error = InvalidSetting::check(dotted(name, &path), value, false, expected).err()?;
+    Some(refused(&error))
 }
 
 /// Returns the range of a number or a pair of numbers. Only a check states it, so this tries what may lie outside.
@@ -61,7 +62,13 @@ fn range<T: DeserializeOwned + Section>(name: &str, path: &[&str]) -> Option<Str
     let whole = |number: f64| if number.abs() < 1e3 { json!(number as i64) } else { json!(number) };
     let probes = PROBES.iter().flat_map(|number| [whole(*number), json!([whole(*number), whole(*number)])]);
     let outside = |probe| serde_json::from_value::<T>(nested(path, probe)).ok()?.validate_at(name).err();
-    probes.filter_map(outside).find(|error| error.key == field).map(|error| error.expected)
+    // An error reads `KEY = VALUE: expected RANGE`.
+    let expected = |error: InvalidSetting| {
+        let text = error.to_string();
+        let (_, expected) = text.strip_prefix(&format!("{field} = "))?.split_once(": expected ")?;
+        Some(expected.to_owned())
+    };
+    probes.filter_map(outside).find_map(expected)
 }
 
 /// Returns sections with `value` at `path` as their only entry.

@@ -6,11 +6,11 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use environment::vec_env::generator;
 use environment::world::CONTROL_DT_S;
-use environment::{Env, EnvironmentConfig, World};
+use environment::{Arrangement, Env, EnvironmentConfig, World};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use policy::{FeatureConfig, FeatureSizes};
-use proto::{Action, Scene, Status};
+use proto::{Action, Pose, Scene, Status, Valid};
 use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyAnyMethods, PyDict, PyDictMethods, PyType};
@@ -38,7 +38,7 @@ type Arguments = (usize, Vec<String>, Vec<(String, f64)>, bool, String, String, 
 /// Worlds that step in parallel.
 #[pyclass(module = "lodestone._native", frozen)]
 pub(crate) struct Worlds {
-    config: EnvironmentConfig,
+    config: Valid<EnvironmentConfig>,
     features: FeatureConfig,
     sizes: FeatureSizes,
     tasks: Tasks,
@@ -80,14 +80,14 @@ impl Worlds {
             let text = format!("{n} worlds on {n_threads} threads: expected at least one of each");
             return Err(PyValueError::new_err(text));
         };
-        let config: EnvironmentConfig = parsed("settings", settings)?;
+        let config = Valid::new(parsed::<EnvironmentConfig>("settings", settings)?).map_err(|error| refused(&error))?;
         let features: FeatureConfig = parsed("features", features)?;
         let features = FeatureConfig { n_grippers: config.n_grippers, ..features };
         let goals = Goals::new(&blueprints).map_err(|error| refused(&error))?;
         let tasks = Tasks::new(goals, &starts, shuffle_blocks).map_err(|error| refused(&error))?;
         let mut rows = room_for(n)?;
         for row in 0..n {
-            let world = World::new(&config).map_err(|error| refused(&error))?;
+            let world = World::new(&config);
             rows.push(Row::new(world, generator(0, row as u64)));
         }
         // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
@@ -347,6 +347,32 @@ impl Worlds {
         state.set_item("in_blueprint", goal.into_pyarray(py))?;
         state.set_item("heavy_contacts", scene.n_heavy_contacts)?;
         Ok(state)
+    }
+
+    /// Begins a world's episode anew in a scene.
+    fn set_scene(
+        &self,
+        py: Python<'_>,
+        row: usize,
+        positions: PyReadonlyArray2<'_, f32>,
+        orientations: PyReadonlyArray2<'_, f32>,
+        connections: Vec<(i64, i64)>,
+    ) -> PyResult<()> {
+        let mut all = self.lock(py);
+        let row = all.get_mut(row).filter(|row| row.task.is_some());
+        let row = row.ok_or_else(|| PyValueError::new_err("this world has no episode yet: reset it first"))?;
+        let (positions, orientations) = (positions.as_slice()?.as_chunks().0, orientations.as_slice()?.as_chunks().0);
+        let pose = |(&position, &orientation)| Pose { position, orientation };
+        let poses: Vec<Pose> = positions.iter().zip(orientations).map(pose).collect();
+        let poses = poses.try_into().map_err(|_| PyValueError::new_err("scene: expected 16 poses"))?;
+        let block = |block: i64| {
+            let known = u8::try_from(block).ok().and_then(|block| BlockIdx::try_from(block).ok());
+            let text = || format!("scene: connections have the block {block}: expected a block from 0 to 15");
+            known.ok_or_else(|| PyValueError::new_err(text()))
+        };
+        let connections = connections.into_iter().map(|(a, b)| Ok((block(a)?, block(b)?))).collect::<PyResult<_>>()?;
+        let set = row.set_scene(&Arrangement { poses, connections });
+        set.map_err(|error| PyValueError::new_err(format!("scene: {error}")))
     }
 
     /// Returns a picture of a world and its goal, `[height, width, 3]`.

@@ -206,6 +206,14 @@ def methods() -> Iterator[tuple[str, Callable[..., Any], tuple[Any, ...]]]:
     batched = tuple(bad for bad in PARTS if not isinstance(bad, tuple))
     yield "AssemblyVectorEnv.step(actions)", envs.step, (*batched, ({"choices": CHOICES, "moves": MOVES}, "shape (2,)"))
     yield "AssemblyVectorEnv.scene(row)", envs.scene, (-1, 2, 0.5, "x", None)
+    scene = env.scene()
+    scenes = (
+        *(3, "x", (None, "no positions"), ({**scene, "positions": scene["positions"][:3]}, "(3, 3)")),
+        *(({**scene, "orientations": None}, "is None"), ({**scene, "connections": [(0, 16)]}, "16")),
+    )
+    yield "AssemblyEnv.set_scene(scene)", env.set_scene, scenes
+    yield "AssemblyVectorEnv.set_scene(scene)", lambda value: envs.set_scene(0, value), scenes
+    yield "AssemblyVectorEnv.set_scene(row)", lambda value: envs.set_scene(value, scene), (-1, 2, 0.5, "x", None)
     yield "AssemblyParallelEnv.reset(seed)", lambda value: pair.reset(seed=value), SEEDS
     yield "AssemblyParallelEnv.reset(options)", lambda value: pair.reset(options=value), OPTIONS
     for name in ("observation_space", "action_space"):

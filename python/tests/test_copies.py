@@ -181,8 +181,9 @@ pickle.dump((seen, env.scene(), env.reset()), sys.stdout.buffer)
             ((seed, stream, position, episodes, bytes(len(last)), noise), "comes out differently"),
             ((seed, stream, position, [], last, noise), "comes out differently"),
             ((seed[1:], stream, position, episodes, last, noise), "damaged"),
-            ((seed, stream, position, [(*episodes[0][:4], bytes(3))], last, noise), "damaged"),
-            ((seed, stream, position, [(*episodes[0][:4], bytes([16] * 50))], last, noise), "damaged"),
+            ((seed, stream, position, [(*episodes[0][:4], bytes(3), None)], last, noise), "damaged"),
+            ((seed, stream, position, [(*episodes[0][:4], bytes([16] * 50), None)], last, noise), "damaged"),
+            ((seed, stream, position, [(*episodes[0][:5], ([], []))], last, noise), "damaged"),
             ((seed, stream, position, [("nowhere_2_999", *episodes[0][1:])], last, noise), "an episode cannot start"),
         ):
             with self.subTest(words), self.assertRaisesRegex(ValueError, f"world 0 cannot be restored: .*{words}"):

@@ -1,4 +1,4 @@
-"""Tests the PyTorch module against the reference values, its unfolded definition, and onnxruntime.
+"""Tests the PyTorch module against the reference values and its unfolded definition.
 
 python -m unittest discover -s python/tests
 """
@@ -9,15 +9,12 @@ import json
 import math
 import tempfile
 import unittest
-import warnings
 from pathlib import Path
 
 import golden
 import numpy as np
-import onnxruntime
 import torch
 from lodestone_torch import (
-    MIXTURE_OUTPUTS,
     N_BLOCKS,
     N_RELATION,
     N_SLOTS,
@@ -25,7 +22,6 @@ from lodestone_torch import (
     Draw,
     GraphLayer,
     GraphNetwork,
-    MixtureGraph,
     Output,
     Policy,
     Proposals,
@@ -61,14 +57,6 @@ def plain(policy: Policy) -> Policy:
     header = json.loads(json.dumps(policy.header))
     header["normalization"] = {"feature_mean": [[]] * 3, "feature_std": [[]] * 3, "value_mean": 0.0, "value_std": 1.0}
     return Policy(policy.network, header)
-
-
-def exported(policy: Policy) -> onnxruntime.InferenceSession:
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        path = Path(folder) / "policy.onnx"
-        policy.export_onnx(path)
-        return onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
 
 
 class Case(unittest.TestCase):
@@ -190,15 +178,6 @@ class Gaussian(Case):
         """The folded matrices would block gradients to half of the parameters."""
         self.assertFalse(self.policy(*scenes(self.policy, 1)).values.requires_grad)
 
-    def test_onnx(self) -> None:
-        session = exported(self.policy)
-        self.assertEqual([x.name for x in session.get_outputs()], list(Output._fields))
-        for b in (1, 2, 5):
-            inputs = scenes(self.policy, b)
-            feed = dict(zip(("nodes", "edges", "globals"), (x.numpy() for x in inputs)))
-            for name, ours, expected in zip(Output._fields, session.run(None, feed), self.policy(*inputs)):
-                self.assert_close(torch.from_numpy(ours), expected, TOLERANCE, f"{name} of onnxruntime at batch {b}")
-
 
 class Mixture(Case):
     """The mixture head; test_same_policy.py compares it with Rust."""
@@ -242,24 +221,6 @@ class Mixture(Case):
         missed = {name: (~part).nonzero().flatten().tolist() for name, part in reached.items() if not part.all()}
         # All but the biases of the partner of a held block, which has none.
         self.assertEqual(missed, {"mutual": [4, 5], "block_after": [7]})
-
-    def test_onnx(self) -> None:
-        for n_grippers in (2, 1):
-            policy = golden.mixture(n_grippers)
-            session, graph = exported(policy), MixtureGraph(policy)
-            names = ["nodes", "edges", "globals", "relations", "offered", "first"][: 4 + n_grippers]
-            outputs = MIXTURE_OUTPUTS if n_grippers == 2 else MIXTURE_OUTPUTS[:-2]
-            self.assertEqual([x.name for x in session.get_inputs()], names)
-            self.assertEqual([x.name for x in session.get_outputs()], outputs)
-            for b in (1, 2, 5):
-                first = torch.tensor([[3, 5], [0, 32], [7, 17], [8, 16], [15, 0]])[:b]
-                inputs = [*scenes(policy, b), *self.proposals(b), first][: len(names)]
-                feed = dict(zip(names, (x.numpy() for x in inputs), strict=True))
-                for name, ours, expected in zip(outputs, session.run(None, feed), graph(*inputs), strict=True):
-                    ours, masked = torch.from_numpy(ours), expected < -1e8
-                    self.assertTrue(((ours < -1e8) == masked).all())
-                    what = f"{name} of onnxruntime at batch {b}"
-                    self.assert_close(ours[~masked], expected[~masked], TOLERANCE, what)
 
 
 class Settings(Case):

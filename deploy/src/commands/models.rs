@@ -139,7 +139,11 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
     if args.out.exists() {
         return Err(Failure::Usage(format!("{} is there already; choose another --out", args.out.display())));
     }
-    let bytes = model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?;
+    let bytes = if args.onnx {
+        model.to_onnx().map_err(|error| Failure::Usage(error.to_string()))?
+    } else {
+        model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?
+    };
     let (n_bytes, n_steps) = (bytes.len(), model.weights.n_env_steps);
     let name = args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

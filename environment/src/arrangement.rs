@@ -1,0 +1,186 @@
+//! Arrangements of blocks from outside, such as a robot's own, and what makes one legal.
+
+use blueprints::{BlockIdx, Inventory, N_BLOCKS};
+use nalgebra::{Isometry3, Vector3};
+use proto::{Joint, Pose};
+
+use crate::config::MagnetConfig;
+use crate::connections::{block_array, relative_along};
+use crate::convert::from_pose;
+use crate::magnets::{Frame, MagnetPair, MagnetTable};
+use crate::reset::Layout;
+use crate::world::RUNAWAY_M;
+
+/// Maximum depth of an overlap with another block and with the ground, m. Blocks that are driven into each other at full
+/// speed overlap by 5.5 cm for a moment, and with the ground by 7.8 cm.
+const MAX_OVERLAP_M: f32 = 0.08;
+const MAX_DEPTH_M: f32 = 0.1;
+/// Maximum distance between two connected magnets, m, and maximum angle of their blocks, degrees: the largest ones at
+/// which a world can be set to connect blocks.
+const MAX_GAP_M: f32 = 0.045;
+const MAX_ANGLE_DEG: f32 = 40.0;
+/// Maximum deviation of a quaternion's length from 1.
+const MAX_STRETCH: f32 = 0.01;
+
+/// Where blocks lie at rest, and which of them are connected.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arrangement {
+    /// Pose of each block.
+    pub poses: [Pose; N_BLOCKS],
+    /// Pairs of connected blocks, in any order.
+    pub connections: Vec<(BlockIdx, BlockIdx)>,
+}
+
+/// What makes an arrangement illegal.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ArrangementError {
+    /// Not a place in the world.
+    #[error("block {block} is at {position:?}: expected three numbers within {RUNAWAY_M} m of the origin")]
+    Position {
+        /// The block.
+        block: u8,
+        /// Its position, m.
+        position: [f32; 3],
+    },
+    /// Not an orientation.
+    #[error("block {block} has the orientation {orientation:?}: expected a unit quaternion x, y, z, w")]
+    Orientation {
+        /// The block.
+        block: u8,
+        /// Its orientation.
+        orientation: [f32; 4],
+    },
+    /// Below the ground.
+    #[error("block {block} is {depth_m} m deep in the ground: expected at most {MAX_DEPTH_M}")]
+    Ground {
+        /// The block.
+        block: u8,
+        /// Its depth, m.
+        depth_m: f32,
+    },
+    /// Two blocks in one place.
+    #[error("blocks {a} and {b} overlap by {depth_m} m: expected at most {MAX_OVERLAP_M}")]
+    Overlap {
+        /// The lower block.
+        a: u8,
+        /// The higher block.
+        b: u8,
+        /// Depth of the overlap, m.
+        depth_m: f32,
+    },
+    /// A connection that magnets do not make.
+    #[error(
+        "blocks {a} and {b} are connected: expected two blocks with opposite magnets within {MAX_GAP_M} m, turned by at \
+         most {MAX_ANGLE_DEG} degrees from where they fit"
+    )]
+    Apart {
+        /// One block.
+        a: u8,
+        /// The other block.
+        b: u8,
+    },
+    /// A connection that is given twice, or in another way than others give it.
+    #[error("the connection of blocks {a} and {b} repeats or contradicts the connections before it")]
+    Contradiction {
+        /// The lower block.
+        a: u8,
+        /// The higher block.
+        b: u8,
+    },
+}
+
+impl Arrangement {
+    /// Returns the layout, with the connections as the magnets make them.
+    ///
+    /// # Errors
+    /// Returns the first reason why no world can look like this.
+    pub(crate) fn layout(&self) -> Result<Layout, ArrangementError> {
+        let inventory = Inventory::standard();
+        for (block, pose) in BlockIdx::all().zip(&self.poses) {
+            check_pose(block.into(), pose)?;
+        }
+        let poses = self.poses.each_ref().map(from_pose);
+        let boxes = block_array(|block| Solid::new(&poses[block.get()], inventory.half_extents_m(block).into()));
+        for a in BlockIdx::all() {
+            let depth_m = boxes[a.get()].shadow(&Vector3::z()) - poses[a.get()].translation.z;
+            if depth_m > MAX_DEPTH_M {
+                return Err(ArrangementError::Ground { block: a.into(), depth_m });
+            }
+            for b in BlockIdx::all().skip(a.get() + 1) {
+                let depth_m = boxes[a.get()].overlap(&boxes[b.get()]);
+                if depth_m > MAX_OVERLAP_M {
+                    return Err(ArrangementError::Overlap { a: a.into(), b: b.into(), depth_m });
+                }
+            }
+        }
+        let joints = self.joints(&poses)?;
+        Ok(Layout { poses, joints })
+    }
+
+    fn joints(&self, poses: &[Isometry3<f32>; N_BLOCKS]) -> Result<Vec<Joint>, ArrangementError> {
+        let table = MagnetTable::new(Inventory::standard());
+        let limits = MagnetConfig { snap_gap_m: MAX_GAP_M, snap_angle_deg: MAX_ANGLE_DEG, ..MagnetConfig::default() };
+        let mut joints: Vec<Joint> = vec![];
+        for &(one, other) in &self.connections {
+            let (a, b) = (one.min(other), one.max(other));
+            let (pose_a, pose_b) = (&poses[a.get()], &poses[b.get()]);
+            let mut nearest: Option<MagnetPair> = None;
+            table.for_each_pair((a, &Frame::new(pose_a)), (b, &Frame::new(pose_b)), MAX_GAP_M, |pair| {
+                if nearest.is_none_or(|best| pair.distance < best.distance) {
+                    nearest = Some(pair);
+                }
+            });
+            let relative = nearest.filter(|_| a != b).and_then(|pair| pair.snap(pose_a, pose_b, &limits));
+            let relative = relative.ok_or(ArrangementError::Apart { a: a.into(), b: b.into() })?;
+            let is_repeated = joints.iter().any(|joint| (joint.a, joint.b) == (a, b));
+            let along = relative_along(joints.iter().copied(), a, b);
+            if is_repeated || along.is_some_and(|along| along != relative) {
+                return Err(ArrangementError::Contradiction { a: a.into(), b: b.into() });
+            }
+            joints.push(Joint { a, b, relative });
+        }
+        joints.sort_unstable();
+        Ok(joints)
+    }
+}
+
+fn check_pose(block: u8, &Pose { position, orientation }: &Pose) -> Result<(), ArrangementError> {
+    // A NaN fails both comparisons.
+    let is_near = Vector3::from(position).norm() <= RUNAWAY_M;
+    let is_unit = (nalgebra::Vector4::from(orientation).norm() - 1.0).abs() <= MAX_STRETCH;
+    match (is_near, is_unit) {
+        (false, _) => Err(ArrangementError::Position { block, position }),
+        (_, false) => Err(ArrangementError::Orientation { block, orientation }),
+        (true, true) => Ok(()),
+    }
+}
+
+/// A block as a box.
+struct Solid {
+    center: Vector3<f32>,
+    axes: [Vector3<f32>; 3],
+    half_extents: Vector3<f32>,
+}
+
+impl Solid {
+    fn new(pose: &Isometry3<f32>, half_extents: Vector3<f32>) -> Self {
+        let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| pose.rotation * axis);
+        Self { center: pose.translation.vector, axes, half_extents }
+    }
+
+    /// Returns half of the length that the box covers along a direction, m.
+    fn shadow(&self, direction: &Vector3<f32>) -> f32 {
+        self.axes.iter().zip(&self.half_extents).map(|(axis, half)| axis.dot(direction).abs() * half).sum()
+    }
+
+    /// Returns how far one of the two would have to move to be clear of the other, m; negative if they do not overlap.
+    fn overlap(&self, other: &Self) -> f32 {
+        let edges = self.axes.iter().flat_map(|a| other.axes.iter().map(move |b| a.cross(b)));
+        // Of parallel edges, the faces tell all.
+        let edges = edges.filter_map(|axis| axis.try_normalize(1e-3));
+        let between = other.center - self.center;
+        let depth = |axis: Vector3<f32>| self.shadow(&axis) + other.shadow(&axis) - between.dot(&axis).abs();
+        let axes = self.axes.into_iter().chain(other.axes).chain(edges);
+        axes.map(depth).fold(f32::INFINITY, f32::min)
+    }
+}
