@@ -27,9 +27,9 @@ const OTHERS: [Asset; 4] = [
 ];
 
 /// The page's modules. Those of the 3D view are loaded when the first episode is shown or the user starts to draw.
-const MODULES: [Asset; 15] = modules!(
-    "app" "attention" "curves" "draw" "editor" "format" "health" "heat" "model" "replay" "solid" "space" "stage"
-    "terms" "videos"
+const MODULES: [Asset; 26] = modules!(
+    "address" "app" "attention" "axes" "curves" "draw" "editor" "follow" "format" "gallery" "grippers" "health" "heat"
+    "labels" "magnets" "model" "pointer" "replay" "share" "solid" "space" "stage" "terms" "verdict" "videos" "view"
 );
 
 /// Returns all files.
