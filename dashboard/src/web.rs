@@ -2,11 +2,12 @@
 //!
 //! Reading order: `about` (which run) → `board` (the known state) → `events` (connected browsers) → `replay`,
 //! `attention` and `videos` → `stage` and `gallery` (episodes on demand) → `drawing` (user-drawn goals) → `prometheus` →
-//! `routes` (endpoints and access control) → `server` (connections) → `export` (a static copy). The page never slows
-//! down the evaluator: writers to the board hold a lock only briefly, and events that a browser does not read in time
-//! are dropped and counted.
+//! `assets` (the page's files) → `routes` (endpoints and access control) → `server` (connections) → `export` (a static
+//! copy). The page never slows down the evaluator: writers to the board hold a lock only briefly, and events that a
+//! browser does not read in time are dropped and counted.
 
 mod about;
+mod assets;
 mod attention;
 mod board;
 mod drawing;

@@ -6,8 +6,8 @@ mod trial;
 use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::Device;
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, N_GRIPPERS, Normalization, Observation,
-    SettingsDifference, Valid, Weights, WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, N_GRIPPERS, Normalization, Observation, SettingsDifference, Valid,
+    Weights, WeightsVersion,
 };
 use rand_chacha::ChaCha8Rng;
 
@@ -113,7 +113,7 @@ impl PolicyError {
     /// ones. Waiting does not help with weights of another network or an invalid configuration.
     pub fn is_of_weights(&self) -> bool {
         match self {
-            Self::Config(_) | Self::OtherSettings { .. } | Self::OtherNetwork { .. } => false,
+            Self::OtherSettings { .. } | Self::OtherNetwork { .. } => false,
             Self::Parameters { .. }
             | Self::NormalizationLength { .. }
             | Self::NormalizationValue { .. }

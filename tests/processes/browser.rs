@@ -2,11 +2,10 @@
 //! reconnects.
 
 use std::io::{BufRead, BufReader};
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::line::Line;
-use crate::support::program::lodestone;
+use crate::support::played::{errors, played};
 use crate::support::served::{Process, interrupt};
 use crate::support::webdriver::Browser;
 use blueprints::Catalog;
@@ -206,45 +205,27 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
 }
 
-/// Starts `play` with these goals in `folder`, and opens its page in a browser; `None` if there is no driver.
-fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
-    let driver = std::env::var_os("LODESTONE_CHROMEDRIVER")?;
-    let mut command = lodestone(folder);
-    let playing = command.arg("play").args(goals).args(["--episodes", "1", "--run-dir", "played"]);
-    let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    let address = lines.find_map(|line| Some(line.strip_prefix("page at ")?.to_owned())).unwrap();
-    let browser = Browser::start(&driver, folder);
-    browser.open(&address);
-    Some((browser, playing))
-}
-
 /// Returns three numbers: how many blocks that are in place or held lie outside the camera's box, over all scenes of
 /// the episode; how much larger the final box is than the structure, in meters; and how much of the picture's half
 /// width or height that box fills.
 const CAMERA: &str = "
-    const { scenes, goal } = replay.episode;
+    const { episode: { scenes, goal }, follow, space } = replay.main;
     const isBuilt = (scene, block, pose) => apart3(scene.blocks[block], placed(scene.goal_frame, pose)) < 0.02;
     const lost = scenes.flatMap((scene, i) => goal.filter(([block, pose]) => {
-        const [low, high] = replay.view(i);
+        const [low, high] = follow.at(i);
         const at = scene.blocks[block];
         const isInside = [0, 1, 2].every((axis) => low[axis] <= at[axis] && at[axis] <= high[axis]);
         return (isBuilt(scene, block, pose) || scene.held.includes(block)) && !isInside;
     }));
-    const box = replay.view(replay.boxes.length);
+    const box = follow.at(Infinity);
     const reaches = [0, 1, 2].map((axis) => goal.map(([block]) => scenes[replay.n].blocks[block][axis]));
     const length = Math.hypot(...reaches.map((values) => Math.max(...values) - Math.min(...values)));
-    replay.space.fit(...box);
-    replay.space.render();
-    const corner = (k) => replay.space.controls.target.clone().set(...[0, 1, 2].map((axis) => box[(k >> axis) & 1][axis]));
-    const seen = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => corner(k).project(replay.space.camera));
+    space.fit(...box);
+    space.render();
+    const corner = (k) => space.controls.target.clone().set(...[0, 1, 2].map((axis) => box[(k >> axis) & 1][axis]));
+    const seen = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => corner(k).project(space.camera));
     return [lost.length, apart3(...box) - length, Math.max(...seen.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)]))];
 ";
-
-/// Errors in the page's console.
-fn errors(browser: &Browser) -> Vec<Value> {
-    browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE").collect()
-}
 
 #[test]
 fn play_opens_with_a_structure_being_built() {
@@ -268,16 +249,32 @@ fn play_opens_with_a_structure_being_built() {
     browser.until("replay.episode.actor === 'expert' && !replay.playing && replay.time >= replay.n");
     assert_eq!(browser.text("#replay-play"), "Play");
     assert!(browser.text("#replay-text").ends_with("success"), "{}", browser.text("#replay-text"));
+    assert!(browser.text("#replay-verdict").starts_with("Built: 1 of 1 connection in "));
+    assert_eq!(browser.run("return document.querySelector('#replay-verdict').className"), "verdict good");
     // The structure stays in the picture the whole time and fills it at the end.
     let camera = browser.run(CAMERA);
     assert_eq!(camera[0], 0, "{camera}");
     assert!(camera[1].as_f64().is_some_and(|more_m| more_m < 0.5), "{camera}");
     assert!(camera[2].as_f64().is_some_and(|share| (0.4..=1.0).contains(&share)), "{camera}");
+    browser.run(
+        "const { space, episode: { goal }, label } = replay.main;
+         const { x, y } = space.blocks[goal[0][0]].position.clone().project(space.camera);
+         label.point([((1 + x) / 2) * space.size[0], ((1 - y) / 2) * space.size[1]])",
+    );
+    let label = browser.text("#replay-label");
+    assert!(
+        label.starts_with("cube ") && label.contains(", 1×1×1 · ") && label.contains("1 of 1 connection"),
+        "{label}"
+    );
 
     // The gallery shows every blueprint, can be searched, and opens a blueprint.
     browser.element("#stage-choose").click();
     let n_blueprints = Catalog::builtin().len();
     browser.until(&format!("document.querySelectorAll('#gallery button img').length === {n_blueprints}"));
+    let n_large = Catalog::builtin().iter().filter(|blueprint| blueprint.n_blocks() == 16).count();
+    browser.element("#gallery input").press("16 blocks");
+    browser.until(&format!("document.querySelectorAll('#gallery button img').length === {n_large}"));
+    browser.run("document.querySelector('#gallery input').value = ''");
     browser.element("#gallery input").press("16_002");
     browser.until("document.querySelectorAll('#gallery button img').length === 1");
     browser.until("document.querySelector('#gallery img').naturalWidth === 200");
@@ -309,10 +306,28 @@ fn what_is_drawn_is_checked_and_built() {
     browser.element("#draw-palette [data-type='2x1x1']").click();
     browser.element("#draw-canvas").click();
     browser.until("editor.blocks.length === 1 && editor.found.blocks.length === 1");
+    // A dragged block moves along the floor, and the view stays.
+    browser.element("#draw-palette button:first-child").click();
+    let place = "JSON.stringify([editor.blocks[0].at, editor.desk.camera.position])";
+    let before = browser.run(&format!("return {place}"));
+    browser.element("#draw-canvas").drag([200, 0]);
+    browser.until("editor.blocks[0].at[0] > 0");
+    browser.run("editor.act('undo')");
+    assert_eq!(browser.run(&format!("return {place}")), before);
     // With the keyboard, a block goes on top of the previous one.
     browser.element("#draw-palette [data-type='1x1x1']").click();
     browser.element("#draw-canvas").press(ENTER);
     says("2 blocks, 1 connection. It can be built.");
+    // A long block that is tipped over stands.
+    browser.run("editor.pick(0); editor.act('tip')");
+    let height = "editor.cells(editor.blocks[0].type, editor.blocks[0].axes)[2]";
+    assert_eq!(browser.run(&format!("return {height}")), 2);
+    browser.run("editor.act('undo')");
+    assert_eq!(browser.run(&format!("return {height}")), 1);
+    browser.run("editor.act('redo')");
+    assert_eq!(browser.run(&format!("return {height}")), 2);
+    browser.run("editor.act('undo'); editor.pick(1)");
+    says("It can be built.");
     // Upside down, like poles face each other.
     browser.element("#draw-canvas").press("tt");
     browser.until("document.querySelector('#draw-problems').textContent.includes('repel each other: like poles meet')");
@@ -342,7 +357,7 @@ fn a_video_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
     browser.element("#videos figure:first-child button").click();
     browser.until("!document.querySelector('#replay-player').hidden");
     browser.run("replay.play(false)");
-    assert!(browser.text("#replay-note").starts_with("2_000, "), "{}", browser.text("#replay-note"));
+    assert!(browser.text("#replay-note").contains(" (2_000), "), "{}", browser.text("#replay-note"));
     let picture = || browser.run("return document.querySelector('#replay').toDataURL()");
     let choose = |eye: &str| {
         browser.run(&format!(
@@ -382,6 +397,7 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     browser.run("window.mark = true");
     watched.line.cut();
     state("reconnecting");
+    state("no answer");
     // What was already shown stays visible, but nothing is about to come.
     assert!(browser.text("#groups caption").contains("weights"));
     browser.until(&format!("!({IS_ESTIMATED})"));
@@ -449,8 +465,9 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     // Without new data, nothing is redrawn, so elements stay valid while they are checked.
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");
-    let named =
-        browser.elements("main section, main button, main input, canvas[tabindex], main svg[role=img], .scroll");
+    let named = browser.elements(
+        "main section, main button, main input, canvas[tabindex]:not([hidden] *), main svg[role=img], .scroll",
+    );
     assert!(named.len() > 20, "{}", named.len());
     for element in named {
         assert_ne!(element.label(), "");

@@ -18,6 +18,7 @@ mod outside;
 mod record;
 mod report;
 mod resume;
+mod sharing;
 mod shutdown;
 mod support;
 mod sweep;

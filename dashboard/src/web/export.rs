@@ -14,8 +14,9 @@ use hyper::service::Service;
 use hyper_util::service::TowerToHyperService;
 use serde_json::{Value, json};
 
+use super::assets;
 use super::events::Places;
-use super::routes::{self, ASSETS, Shown};
+use super::routes::{self, Shown};
 
 /// Maximum size of a response. A video has a few hundred kilobytes, an episode less.
 const MAX_ANSWER_BYTES: usize = 64 << 20;
@@ -44,7 +45,7 @@ pub(super) async fn export(
     let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
     let routes = TowerToHyperService::new(routes::routes(first, others, Places::default(), Valid::default()));
     let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
-    for (path, _, text) in ASSETS {
+    for (path, _, text) in assets::all() {
         let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));
         copy.write(if path == "/" { "/index.html" } else { path }, text.as_bytes())?;
     }

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
+use blueprints::drawing::word;
 use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, UNIT_M};
 use bus::Bus;
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
@@ -51,6 +52,8 @@ struct ReplayView {
     /// Edge of a unit cell, meters. Each cell face on a block's surface has a magnet in its center, positive on the
     /// sides +x, +y, +z.
     unit_m: f32,
+    /// Name of each block, such as `cube 2`.
+    names: Vec<String>,
     /// Half the length of each block along its axes, meters.
     half_extents_m: Vec<[f32; 3]>,
     /// Color of each block's type.
@@ -59,6 +62,8 @@ struct ReplayView {
     gripper_colors: Vec<[u8; 3]>,
     /// The goal's blocks: index, position in meters in the goal's frame, quaternion x, y, z, w.
     goal: Vec<(usize, [f32; 7])>,
+    /// The pairs of blocks that the goal connects.
+    links: Vec<[usize; 2]>,
     scenes: Vec<SceneView>,
     attention: Option<AttentionView>,
 }
@@ -73,6 +78,8 @@ struct SceneView {
     goal_frame: [f32; 7],
     /// Number of the goal's connections that are made.
     n_connected: usize,
+    /// Connected pairs of blocks, and whether the goal connects them like this.
+    joints: Vec<(usize, usize, bool)>,
     /// Undiscounted reward so far.
     reward: f32,
     /// The reward so far by term.
@@ -168,13 +175,21 @@ fn view(
         },
         step_s: STEP_S,
         unit_m: UNIT_M,
+        names: BlockIdx::all().map(|block| name(inventory, block)).collect(),
         half_extents_m: BlockIdx::all().map(|block| inventory.half_extents_m(block)).collect(),
         colors: BlockIdx::all().map(|block| TYPE_COLORS[inventory.type_idx(block)]).collect(),
         gripper_colors: GRIPPER_COLORS.to_vec(),
         goal: places.collect(),
+        links: episode.goal().links().iter().map(|link| [link.a, link.b].map(BlockIdx::get)).collect(),
         scenes: scenes.map(|(n_done, scene)| SceneView::new(&episode, n_done, scene)).collect(),
         attention: look(&episode),
     })
+}
+
+/// Returns the word for the block's type, and its number among the blocks of that type.
+fn name(inventory: &Inventory, block: BlockIdx) -> String {
+    let number = inventory.same_type(block).take_while(|other| *other <= block).count();
+    format!("{} {number}", word(&inventory.block_type(block).name))
 }
 
 /// Returns the pose of the goal's frame according to one block: of those in the largest correct piece, the one that the
@@ -206,6 +221,11 @@ impl SceneView {
             blocks: scene.blocks.iter().map(|block| pose(block.position, block.orientation)).collect(),
             goal_frame: goal_frame(episode.goal(), scene),
             held: scene.grippers.iter().flatten().map(|gripper| gripper.held.map(BlockIdx::get)).collect(),
+            joints: scene
+                .joints
+                .iter()
+                .map(|joint| (joint.a.get(), joint.b.get(), joint.is_right(episode.goal())))
+                .collect(),
             n_connected: episode.n_connected(n_done),
             reward: reward_terms.total(),
             reward_terms,
@@ -291,6 +311,8 @@ pub(super) mod tests {
         let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
         let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);
         assert!((at - Vector3::new(0.0, 0.1235, 0.0)).norm() < 1e-3, "{at}");
+        assert_eq!(json["links"].as_array().unwrap().len(), goal.links().len());
+        assert_eq!([&json["names"][0], &json["names"][15]], ["cube 1", "slab 2"]);
         assert_eq!(scenes[0]["held"], serde_json::json!([3, null]));
         let y = scenes[0]["blocks"][0][1].as_f64().unwrap();
         assert!((y - 0.1235).abs() < 1e-6, "{y}");

@@ -19,6 +19,7 @@ use serde::Serialize;
 use tokio::task::JoinError;
 
 use super::about::{About, Kind, about};
+use super::assets;
 use super::board::Board;
 use super::drawing::{self, OneCheck};
 use super::events::Places;
@@ -44,39 +45,6 @@ const HEADERS: [(HeaderName, &str); 5] = [
     (REFERRER_POLICY, "no-referrer"),
     (CACHE_CONTROL, "no-store"),
 ];
-
-/// A file of the page: path, content type and text.
-type Asset = (&'static str, &'static str, &'static str);
-
-const JS: &str = "text/javascript; charset=utf-8";
-
-/// The page's files, which are embedded in the binary. Its modules import each other by these paths.
-pub(super) const ASSETS: [Asset; 19] = [
-    ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
-    ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
-    ("/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
-    ("/app.js", JS, include_str!("assets/app.js")),
-    ("/attention.js", JS, include_str!("assets/attention.js")),
-    ("/curves.js", JS, include_str!("assets/curves.js")),
-    ("/editor.js", JS, include_str!("assets/editor.js")),
-    ("/videos.js", JS, include_str!("assets/videos.js")),
-    ("/format.js", JS, include_str!("assets/format.js")),
-    ("/health.js", JS, include_str!("assets/health.js")),
-    ("/heat.js", JS, include_str!("assets/heat.js")),
-    ("/model.js", JS, include_str!("assets/model.js")),
-    ("/replay.js", JS, include_str!("assets/replay.js")),
-    ("/solid.js", JS, include_str!("assets/solid.js")),
-    ("/stage.js", JS, include_str!("assets/stage.js")),
-    ("/terms.js", JS, include_str!("assets/terms.js")),
-    // Loaded when the first episode is shown or the user starts to draw.
-    ("/space.js", JS, include_str!("assets/space.js")),
-    ("/draw.js", JS, include_str!("assets/draw.js")),
-    ("/three.js", JS, include_str!("assets/vendor/three.min.js")),
-];
-
-/// Modules to load early if the page opens with an episode.
-const PRELOADS: &str =
-    "<link rel=\"modulepreload\" href=\"/space.js\"><link rel=\"modulepreload\" href=\"/three.js\">\n";
 
 /// A run shown on the page.
 pub(super) struct Shown {
@@ -107,13 +75,8 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: V
         .route("/api/blueprint", get(drawing::file))
         .route("/api/inventory", get(drawing::inventory))
         .route("/api/check", post(drawing::check));
-    for (path, content_type, text) in ASSETS {
-        let text = match path {
-            "/" if opens => text.replace("</head>", &format!("{PRELOADS}</head>")).into(),
-            _ => Bytes::from_static(text.as_bytes()),
-        };
-        let told = move || std::future::ready(([(CONTENT_TYPE, content_type)], text.clone()));
-        guarded = guarded.route(path, get(told));
+    for asset in assets::all() {
+        guarded = guarded.route(asset.0, assets::route(asset, opens));
     }
     guarded
         .fallback(StatusCode::NOT_FOUND)
@@ -151,6 +114,7 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/history", get(history))
         .route("/api/events", get(events))
         .route("/api/play", get(stage::play).post(stage::play_drawn))
+        .route("/api/play.mp4", get(stage::play_video))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
         .route("/api/videos", get(list_videos))
@@ -329,9 +293,9 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
         return guard.refuse(StatusCode::FORBIDDEN, refusal);
     };
     let in_query = request.uri().query().into_iter().flat_map(|query| query.split('&'));
-    let in_query = in_query.filter_map(|pair| pair.strip_prefix("token=")).any(|guess| token.is(guess));
-    if in_query {
-        return keep_in_cookie(token, request.uri().path());
+    let (tokens, others): (Vec<&str>, Vec<&str>) = in_query.partition(|pair| pair.starts_with("token="));
+    if tokens.iter().filter_map(|pair| pair.strip_prefix("token=")).any(|guess| token.is(guess)) {
+        return keep_in_cookie(token, request.uri().path(), &others.join("&"));
     }
     if is_in_header(token, request.headers()) {
         return next.run(request).await;
@@ -347,13 +311,14 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
     next.run(request).await
 }
 
-/// Redirects to the same path without the token, which would otherwise stay in the browser's history.
-fn keep_in_cookie(token: &Token, path: &str) -> Response {
+/// Redirects to the same path and the rest of the query without the token, which would otherwise stay in the browser's
+/// history.
+fn keep_in_cookie(token: &Token, path: &str, query: &str) -> Response {
     // `Lax`, because `Strict` would reject a first visit through a link from another site.
     let (of_token, token) = (proto::config_hash(&token.reveal()), token.reveal());
     let cookie = format!("{COOKIE_NAME}_{of_token:016x}={token}; Path=/; HttpOnly; SameSite=Lax");
     // Keep one leading slash: with two, the path would name another host.
-    let path = format!("/{}", path.trim_start_matches('/'));
+    let path = format!("/{}{}{query}", path.trim_start_matches('/'), if query.is_empty() { "" } else { "?" });
     match (HeaderValue::from_str(&path), HeaderValue::from_str(&cookie)) {
         (Ok(path), Ok(cookie)) => (StatusCode::SEE_OTHER, [(LOCATION, path), (SET_COOKIE, cookie)]).into_response(),
         _ => StatusCode::BAD_REQUEST.into_response(),

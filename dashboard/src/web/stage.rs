@@ -13,6 +13,7 @@ use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog};
 use parking_lot::Mutex;
 use proto::{ActionMode, Trajectory};
+use render::video::{Episode, Video, mp4};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
@@ -20,6 +21,10 @@ use super::replay::Replays;
 
 /// Maximum number of goals in a row in one world, as in the evaluation without resets.
 const MAX_IN_A_ROW: usize = 10;
+
+/// Width of the frames of a video in pixels, and their number per second.
+const VIDEO_PX: usize = 640;
+const VIDEO_FPS: u32 = 20;
 
 /// The agent that builds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -89,7 +94,7 @@ impl Stage {
     /// Plays the episode that the page opens with, so that it is ready when a browser requests it.
     pub(super) async fn open_with(&self, blueprint: Blueprint, replays: Arc<Replays>) {
         let order = Wishes::default().of(blueprint, Vec::new());
-        let answer = perform(self.clone(), replays, order, true).await;
+        let answer = perform(self.clone(), order, Form::Replay(replays), true).await;
         tracing::debug!(status = %answer.status(), "played the first episode");
     }
 }
@@ -184,7 +189,20 @@ pub(super) async fn play(
 ) -> Response {
     let Some(stage) = stage else { return nothing_is_played() };
     match Order::named(query.as_deref().unwrap_or_default(), &catalog) {
-        Ok(order) => perform(stage, replays, order, false).await,
+        Ok(order) => perform(stage, order, Form::Replay(replays), false).await,
+        Err(reason) => refused(reason),
+    }
+}
+
+/// Like [`play`], as a video.
+pub(super) async fn play_video(
+    Extension(stage): Extension<Option<Stage>>,
+    Extension(catalog): Extension<Arc<Catalog>>,
+    RawQuery(query): RawQuery,
+) -> Response {
+    let Some(stage) = stage else { return nothing_is_played() };
+    match Order::named(query.as_deref().unwrap_or_default(), &catalog) {
+        Ok(order) => perform(stage, order, Form::Video, false).await,
         Err(reason) => refused(reason),
     }
 }
@@ -206,7 +224,7 @@ pub(super) async fn play_drawn(
         Order::drawn(query.as_deref().unwrap_or_default(), &file)
     });
     match order.await {
-        Ok(Ok(order)) => perform(stage, replays, order, false).await,
+        Ok(Ok(order)) => perform(stage, order, Form::Replay(replays), false).await,
         Ok(Err(reason)) => refused(reason),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
@@ -220,12 +238,41 @@ fn refused(reason: String) -> Response {
     (StatusCode::BAD_REQUEST, reason + "\n").into_response()
 }
 
+/// What an episode is returned as.
+enum Form {
+    /// The format of `/api/replay`.
+    Replay(Arc<Replays>),
+    /// MP4.
+    Video,
+}
+
+impl Form {
+    fn content_type(&self) -> &'static str {
+        match self {
+            Self::Replay(_) => "application/json",
+            Self::Video => "video/mp4",
+        }
+    }
+
+    /// Returns the episode in this form; `None` if there is nothing to show.
+    fn of(&self, episode: Trajectory, goal: &Blueprint) -> Option<Bytes> {
+        match self {
+            Self::Replay(replays) => replays.show(&[episode], goal),
+            Self::Video => {
+                let episode = Episode::new(&[episode], goal).ok()?;
+                mp4(Video::new(&episode, VIDEO_PX).frames(VIDEO_FPS), VIDEO_FPS).ok().map(Bytes::from)
+            }
+        }
+    }
+}
+
 /// Waits for the stage and plays the order; stops if the browser disconnects. Keeps the response if it `opens` the
 /// page.
-async fn perform(stage: Stage, replays: Arc<Replays>, order: Order, opens: bool) -> Response {
+async fn perform(stage: Stage, order: Order, form: Form, opens: bool) -> Response {
     let Ok(_turn) = stage.turn.acquire().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
-    let shown = |json: Bytes| ([(CONTENT_TYPE, "application/json")], json).into_response();
-    let opening = stage.opening.lock().clone();
+    let content_type = form.content_type();
+    let shown = |bytes: Bytes| ([(CONTENT_TYPE, content_type)], bytes).into_response();
+    let opening = stage.opening.lock().clone().filter(|_| matches!(form, Form::Replay(_)));
     if let Some((_, json)) = opening.filter(|(first, _)| *first == order) {
         return shown(json);
     }
@@ -234,15 +281,15 @@ async fn perform(stage: Stage, replays: Arc<Replays>, order: Order, opens: bool)
     let play = stage.play.clone();
     let answer = tokio::task::spawn_blocking(move || {
         let episode = play(&order, &|| !unwanted.is_cancelled())?;
-        let json = replays.show(std::slice::from_ref(&episode), &order.blueprint);
-        Ok((order, json.ok_or_else(|| StageError::Failed("it has nothing to show".to_owned()))?))
+        let bytes = form.of(episode, &order.blueprint);
+        Ok((order, bytes.ok_or_else(|| StageError::Failed("it has nothing to show".to_owned()))?))
     });
     match answer.await {
-        Ok(Ok((order, json))) => {
+        Ok(Ok((order, bytes))) => {
             if opens {
-                *stage.opening.lock() = Some((order, json.clone()));
+                *stage.opening.lock() = Some((order, bytes.clone()));
             }
-            shown(json)
+            shown(bytes)
         }
         Ok(Err(error @ StageError::NoWeights)) => {
             (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "1")], format!("{error}\n")).into_response()

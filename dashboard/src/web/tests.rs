@@ -135,9 +135,9 @@ async fn event_with(lines: &mut BufReader<TcpStream>, name: &str, wanted: impl F
 
 #[test]
 fn every_module_is_served_with_what_it_imports() {
-    for (path, _, text) in routes::ASSETS.iter().filter(|(path, ..)| path.ends_with(".js")) {
+    for (path, _, text) in assets::all().filter(|(path, ..)| path.ends_with(".js")) {
         for name in text.split("\"./").skip(1).filter_map(|rest| rest.split('"').next()) {
-            let is_served = routes::ASSETS.iter().any(|(path, ..)| path.strip_prefix('/') == Some(name));
+            let is_served = assets::all().any(|(path, ..)| path.strip_prefix('/') == Some(name));
             // Types are for the checker only.
             assert!(is_served || name == "types", "{path} imports {name}");
         }
@@ -216,7 +216,7 @@ async fn only_what_is_meant_to_be_seen_is_served() {
     assert_eq!(served.status("/", &large).await, 431);
     let many: String = (0..80).map(|i| format!("X-{i}: x\r\n")).collect();
     assert_eq!(served.status("/", &many).await, 431);
-    let answer = served.get("/").await.to_lowercase();
+    let answer = served.get("/api/about").await.to_lowercase();
     for header in [
         "content-security-policy: default-src 'self'",
         "x-content-type-options: nosniff",
@@ -323,6 +323,7 @@ async fn a_token_keeps_others_out_but_not_probes() {
     ] {
         assert_eq!(served.status("/", &headers).await, expected, "{headers}");
     }
+    assert!(served.get(&format!("/?step=4&token={TOKEN}")).await.contains("location: /?step=4\r\n"));
     // Two slashes would redirect to a host of that name.
     assert!(served.get(&format!("//evil.example?token={TOKEN}")).await.contains("location: /evil.example\r\n"));
     let metrics = served.get_with("/metrics", &format!("Authorization: Bearer {TOKEN}\r\n")).await;

@@ -27,8 +27,7 @@ const NOTICE: Duration = Duration::from_secs(3);
 /// # Errors
 /// When the run's name or an endpoint is invalid, stdout is not a terminal where one is needed, or the bus fails.
 pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
-    let config = Valid::new(joining(args)?)
-        .map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
+    let config = Valid::new(joining(args)?).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
         let (run, endpoints, seconds) = (config.run.clone(), config.connect.join(", "), args.timeout);
         let format = if args.json { Format::Json } else { Format::Text };

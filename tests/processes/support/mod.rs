@@ -2,6 +2,7 @@
 
 pub(crate) mod judges;
 pub(crate) mod line;
+pub(crate) mod played;
 pub(crate) mod program;
 pub(crate) mod served;
 pub(crate) mod webdriver;

@@ -20,6 +20,13 @@ const DRIVER_STARTS: usize = 10;
 /// The key under which the protocol returns element ids.
 const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
 
+/// The parts of the page that tests look into.
+const PAGE: &str = "
+    const from = (name) => import(new URL(name, document.baseURI).href);
+    const { editor, heat, replay } = await from('app.js');
+    const { apart3, placed } = await from('solid.js');
+";
+
 /// A headless Chromium with one window; it is closed when dropped.
 pub(crate) struct Browser {
     driver: Child,
@@ -73,19 +80,31 @@ impl Browser {
         self.post("/url", &json!({ "url": url }));
     }
 
-    /// Runs a function with this body on the page and returns its result.
+    /// Runs a function with this body on the page, where it sees [`PAGE`], and returns its result.
     pub(crate) fn run(&self, body: &str) -> Value {
-        self.post("/execute/sync", &json!({ "script": body, "args": [] }))
+        self.tell(body).unwrap_or_else(|error| panic!("{body}: {error}"))
+    }
+
+    /// Returns the browser's message if the function fails.
+    fn tell(&self, body: &str) -> Result<Value, String> {
+        let script = format!(
+            "const done = arguments[arguments.length - 1];
+             (async () => {{ {PAGE} {body} }})().then((value) => done([value]), (error) => done(`${{error}}`));"
+        );
+        let answer = self.ask("/execute/async", &json!({ "script": script, "args": [] }))?;
+        answer.as_str().map_or_else(|| Ok(answer[0].clone()), |error| Err(error.to_owned()))
     }
 
     /// Waits until `expression` is truthy on the page; returns its value.
     pub(crate) fn until(&self, expression: &str) -> Value {
-        let script = format!(
-            "const done = arguments[arguments.length - 1];
-             const look = () => {{ const found = ({expression}); if (found) done(found); else setTimeout(look, 20); }};
-             look();"
+        let body = format!(
+            "for (;;) {{
+                 const found = ({expression});
+                 if (found) return found;
+                 await new Promise((again) => setTimeout(again, 20));
+             }}"
         );
-        self.ask("/execute/async", &json!({ "script": script, "args": [] })).unwrap_or_else(|error| {
+        self.tell(&body).unwrap_or_else(|error| {
             let page = self.run("return document.body.innerText");
             panic!("{expression}: {error}\n{}\n{:?}", page.as_str().unwrap_or_default(), self.log("browser"))
         })
@@ -107,6 +126,13 @@ impl Browser {
         let mut all = self.elements(selector);
         assert_eq!(all.len(), 1, "{selector}");
         all.remove(0)
+    }
+
+    /// Presses keys, one after the other, wherever the focus is.
+    pub(crate) fn keys(&self, keys: &str) {
+        let action = |kind: &str, key: char| json!({ "type": kind, "value": key.to_string() });
+        let all: Vec<Value> = keys.chars().flat_map(|key| [action("keyDown", key), action("keyUp", key)]).collect();
+        self.post("/actions", &json!({ "actions": [{ "type": "key", "id": "keyboard", "actions": all }] }));
     }
 
     /// Log entries since the last call: `browser` is the console, `performance` contains the requests.

@@ -1,5 +1,6 @@
 // The page: makes its parts, follows the event stream, and schedules redraws.
 
+import { address } from "./address.js";
 import { Attention } from "./attention.js";
 import { drawBeside, drawCurves, drawGroups } from "./curves.js";
 import { Editor } from "./editor.js";
@@ -9,15 +10,20 @@ import { drawDrops, drawHealth, drawRoster, toPoint } from "./health.js";
 import { Heat } from "./heat.js";
 import { answerAt, isCopy, model } from "./model.js";
 import { Replay, askReplay, openRecording } from "./replay.js";
-import { apart3, placed } from "./solid.js";
+import { copyLink, savePicture } from "./share.js";
 import { Stage } from "./stage.js";
 import { Terms } from "./terms.js";
 
+/** @import { Values } from "./address.js" */
 /** @import { About, Acting, Video, History, Pass, Roster, Row } from "./types" */
 
 const heat = new Heat($("heat"), $("heat-cell"), openCell);
+/** @type {(name: "replay" | "beside") => import("./view.js").Parts} */
+const partsOf = (name) => ({
+  figure: $(`${name}-figure`), caption: $(`${name}-caption`), canvas: $(name), label: $(`${name}-label`), verdict: $(`${name}-verdict`),
+});
 const replay = new Replay({
-  canvas: $("replay"), slider: $("replay-slider"), playButton: $("replay-play"),
+  main: partsOf("replay"), beside: partsOf("beside"), slider: $("replay-slider"), playButton: $("replay-play"),
   back: $("replay-back"), forth: $("replay-forth"), text: $("replay-text"),
   player: $("replay-player"), note: $("replay-note"), fitButton: $("replay-fit"), fullButton: $("replay-full"),
   speedChoice: $("replay-speed"),
@@ -31,8 +37,8 @@ const replay = new Replay({
   }, () => replay.draw()),
 });
 const stage = new Stage(replay, {
-  choose: $("stage-choose"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), mode: $("stage-mode"),
-  onward: $("stage-onward"), keep: $("stage-keep"), note: $("replay-note"), dialog: $("gallery"),
+  choose: $("stage-choose"), previous: $("stage-previous"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), both: $("stage-both"), mode: $("stage-mode"), success: $("stage-success"),
+  onward: $("stage-onward"), keep: $("stage-keep"), video: $("stage-video"), shared: $("stage-shared"), note: $("replay-note"), dialog: $("gallery"),
 });
 const editor = new Editor(stage, {
   open: $("draw-open"), board: $("draw-board"), palette: $("draw-palette"), canvas: $("draw-canvas"), layer: $("draw-layer"),
@@ -40,8 +46,37 @@ const editor = new Editor(stage, {
   match: $("draw-match"), name: $("draw-name"), policy: $("draw-policy"), expert: $("draw-expert"), save: $("draw-save"),
   file: $("draw-file"), copy: $("draw-copy"),
 });
-const openVideo = (/** @type {Video} */ video) => openRecording(replay, $("replay-note"), video);
-$("replay-ask").addEventListener("click", () => askReplay(replay, $("replay-note"), $("replay-ask")));
+/**
+ * The address of nothing on the stage.
+ * @type {Values}
+ */
+const NOTHING = { blueprint: null, agent: null, both: null, mode: null, seed: null, after: null, recording: null, step: null };
+const openVideo = (/** @type {Video} */ { id }) => {
+  address.set({ ...NOTHING, recording: id }, true);
+  stage.shown = null;
+  replay.leave();
+  openRecording(replay, $("replay-note"), id);
+};
+$("replay-ask").addEventListener("click", () => {
+  // Nobody can see the next one of a training again.
+  address.set(NOTHING, true);
+  stage.shown = null;
+  askReplay(replay, $("replay-note"), $("replay-ask"));
+});
+$("replay-link").addEventListener("click", () => copyLink($("stage-shared")));
+$("replay-save").addEventListener("click", () => savePicture(replay));
+
+/** Shows what the address names. Returns false if it names no episode. */
+function restore() {
+  $("replay-ghost").checked = address.get("goal") !== "hidden";
+  if (address.get("open") === "gallery") stage.open();
+  else if ($("gallery").open) $("gallery").close();
+  if ($("draw")) editor.toggle(address.get("draw") === "open");
+  const recording = address.get("recording");
+  if (recording !== null) openRecording(replay, $("replay-note"), recording);
+  return recording !== null || stage.restore();
+}
+address.follow(restore);
 
 /**
  * Opens the clip that an evaluation recorded, or else plays the same blueprint with the newest weights.
@@ -148,8 +183,9 @@ function introduce(about) {
     ["stage-bar", "draw"].forEach((id) => $(id).remove());
     $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its videos.";
   }
-  else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "draw"].forEach((id) => $(id).remove());
+  else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
+  const isRestored = restore();
   if (about.kind === "play") {
     $("learner").remove();
     $("tiles").before($("stage"), $("draw"));
@@ -160,7 +196,16 @@ function introduce(about) {
   } else return;
   $("replay-more").open = false;
   $("stage-onward").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-  stage.start(isCopy ? about.recorded[about.recorded.length - 1] : about.first);
+  if (isRestored) return;
+  if (isCopy) startTrained();
+  else stage.start(about.first, false);
+}
+
+/** Starts the last of a copy's goals that was trained, or else its last one: goals are in order of size. */
+async function startTrained() {
+  if (!(await stage.learn())) return;
+  const trained = stage.blueprints.filter(({ group }) => group && group.startsWith("train"));
+  stage.start([...trained.slice(-1), ...stage.blueprints.slice(-1)][0].id, false);
 }
 
 /**
@@ -316,9 +361,9 @@ function listen() {
     askVideos($("videos"), $("videos-note"), openVideo);
   };
   source.onerror = () => {
-    say("away", "reconnecting");
     nMisses += 1;
     // The first miss may be a short break. After it, nothing listens there.
+    say("away", nMisses > 1 ? "no answer" : "reconnecting");
     if (nMisses > 1) {
       const { ended, command } = (model.about && model.about.farewell) || { ended: "the program" };
       part(`${sentence(ended)} may have ended: nothing answers.`, command);
@@ -358,6 +403,7 @@ async function begin() {
   askHistory();
   askVideos($("videos"), $("videos-note"), openVideo);
 }
-// For the console and for tests in a browser, which see only what the window has. No module reads these there.
-Object.assign(window, { apart3, editor, heat, placed, replay });
 begin();
+
+// For tests in a browser.
+export { editor, heat, replay };

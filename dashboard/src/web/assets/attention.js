@@ -1,5 +1,6 @@
 // The network's attention over an episode: a strip of the goal's blocks over time, and shading of the blocks.
 
+import { address } from "./address.js";
 import { element, svg } from "./format.js";
 
 /** @import { Attended, Episode, Rgb } from "./types" */
@@ -49,6 +50,7 @@ export class Attention {
   constructor(parts, changed) {
     this.parts = parts;
     parts.choice.addEventListener("change", () => {
+      address.set({ eye: parts.choice.value === "-1" ? null : parts.choice.value });
       this.draw();
       changed();
     });
@@ -61,7 +63,7 @@ export class Attention {
     if (!this.told) return;
     this.blocks = episode.goal.map(([block]) => block);
     this.colors = episode.colors;
-    const before = this.parts.choice.value;
+    const before = this.parts.choice.value || address.get("eye");
     const options = ["off", ...this.told.sources].map((name, i) => element("option", { value: String(i - 1) }, name));
     this.parts.choice.replaceChildren(...options);
     this.parts.choice.value = options.some((option) => option.value === before) ? before : "-1";

@@ -1,7 +1,9 @@
 // The 3D drawing: blocks on a grid, and picking them with the pointer. Lengths are in unit cells, except in meshes and
 // poses, which are in meters. Loaded when the user starts to draw.
 
-import { Space, blockMesh, dispose, ghostMesh, put, rgb } from "./space.js";
+import { rgb } from "./magnets.js";
+import { entry } from "./solid.js";
+import { Space, blockMesh, dispose, ghostMesh, put } from "./space.js";
 import { Color, GridHelper, Vector3 } from "./three.js";
 
 /** @import { Drawn, Hit, Spot, Vector } from "./types" */
@@ -23,7 +25,7 @@ export class Desk extends Space {
    * @param {number} unit edge of a cell, meters
    */
   constructor(canvas, unit) {
-    super(canvas, () => {});
+    super(canvas, () => {}, () => {});
     this.unit = unit;
     this.theme();
     this.camera.position.set(0.7, -1.25, 0.95);
@@ -100,35 +102,45 @@ export class Desk extends Space {
    * @returns {Hit | null}
    */
   pick(x, y) {
-    const [width, height] = this.size;
-    this.camera.updateMatrixWorld();
-    const far = new Vector3((2 * x) / width - 1, 1 - (2 * y) / height, 0.5).unproject(this.camera);
-    const from = this.camera.position.toArray().map((v) => v / this.unit);
-    const way = far.toArray().map((v, k) => v / this.unit - from[k]);
+    const { from, way } = this.ray(x, y);
     const at = (/** @type {number} */ t) => from.map((v, k) => v + t * way[k]);
     /** @type {Hit | null} */
     let best = null;
     this.drawn.forEach(({ at: low, size }, block) => {
-      // The ray is inside the box where it is between both planes of all three axes.
-      let [enter, leave, axis] = [0, Infinity, -1];
-      for (let k = 0; k < 3; k += 1) {
-        const [a, b] = [low[k], low[k] + size[k]].map((plane) => (plane - from[k]) / way[k]);
-        if (Math.min(a, b) > enter) [enter, axis] = [Math.min(a, b), k];
-        leave = Math.min(leave, Math.max(a, b));
-      }
-      if (axis < 0 || enter >= leave || (best && best.t <= enter)) return;
+      const hit = entry(from, way, low, low.map((v, k) => v + size[k]));
+      if (!hit || (best && best.t <= hit.t)) return;
+      const { t, axis } = hit;
       const normal = [0, 0, 0];
       normal[axis] = way[axis] < 0 ? 1 : -1;
-      const cell = at(enter).map((v, k) => Math.min(Math.max(Math.floor(v), low[k]), low[k] + size[k] - 1) + normal[k]);
-      best = { t: enter, block, cell, normal };
+      const cell = at(t).map((v, k) => Math.min(Math.max(Math.floor(v), low[k]), low[k] + size[k] - 1) + normal[k]);
+      best = { t, block, cell, normal };
     });
-    const t = (this.layer - from[2]) / way[2];
-    if (t > 0 && (!best || t < best.t)) {
-      const cell = at(t).map(Math.floor);
-      cell[2] = this.layer;
-      if (Math.max(Math.abs(cell[0] + 0.5), Math.abs(cell[1] + 0.5)) < GRID / 2) return { t, block: null, cell, normal: [0, 0, 1] };
-    }
-    return best;
+    const floor = this.cellAt(x, y, this.layer);
+    return floor && (!best || floor.t < best.t) ? { ...floor, block: null, normal: [0, 0, 1] } : best;
+  }
+
+  /**
+   * Returns the ray through a canvas pixel, in cells.
+   * @param {number} x
+   * @param {number} y
+   */
+  ray(x, y) {
+    const far = this.beyond(x, y);
+    const from = this.camera.position.toArray().map((v) => v / this.unit);
+    return { from, way: far.toArray().map((v, k) => v / this.unit - from[k]) };
+  }
+
+  /**
+   * Returns the cell of the grid at a canvas pixel, were the grid at this height; `null` outside.
+   * @param {number} x
+   * @param {number} y
+   * @param {number} height cells
+   */
+  cellAt(x, y, height) {
+    const { from, way } = this.ray(x, y);
+    const t = (height - from[2]) / way[2];
+    const cell = [...from.map((v, k) => Math.floor(v + t * way[k])).slice(0, 2), height];
+    return t > 0 && Math.max(Math.abs(cell[0] + 0.5), Math.abs(cell[1] + 0.5)) < GRID / 2 ? { t, cell } : null;
   }
 
   /**
@@ -139,6 +151,18 @@ export class Desk extends Space {
     const { x, y } = this.camera.position.clone().sub(this.controls.target);
     // A quarter turn from the direction to the camera.
     return Math.abs(y) >= Math.abs(x) ? [y < 0 ? 1 : -1, 0, 0] : [0, x > 0 ? 1 : -1, 0];
+  }
+
+  /**
+   * Returns whether a place is in the picture.
+   * @param {Spot} spot
+   */
+  sees({ at, size }) {
+    this.camera.updateMatrixWorld();
+    return [0, 1, 2, 3, 4, 5, 6, 7].every((corner) => {
+      const { x, y } = new Vector3().fromArray(at.map((v, k) => (v + ((corner >> k) & 1) * size[k]) * this.unit)).project(this.camera);
+      return Math.max(Math.abs(x), Math.abs(y)) < 1;
+    });
   }
 
   /** Moves the camera to show all blocks. */

@@ -1,9 +1,13 @@
 // Draw and build: the user places blocks on a grid. The server checks every state of the drawing, turns blocks until
 // poles match, and writes it as a blueprint file, which the agent then builds.
 
+import { address } from "./address.js";
+import { imagesOf, quarter, quaternionOf } from "./axes.js";
 import { $, element, sentence } from "./format.js";
 import { NO_ANSWER } from "./model.js";
-import { add3, cross3, dot3 } from "./solid.js";
+import { Pointer } from "./pointer.js";
+import { save } from "./share.js";
+import { add3, cross3 } from "./solid.js";
 
 /** @import { Desk } from "./draw.js" */
 /** @import { Stage } from "./stage.js" */
@@ -14,49 +18,6 @@ const [WIDE, HIGH] = [12, 24];
 
 /** Local storage key of the drawing, which survives reloads. */
 const KEPT = "lodestone-drawing";
-
-/** @type {(name: string) => Vector} */
-const axisOf = (name) => [0, 1, 2].map((k) => ("xyz"[k] === name[1] ? (name[0] === "+" ? 1 : -1) : 0));
-/** @type {(axis: Vector) => string} */
-const nameOf = (axis) => `${axis.some((v) => v > 0) ? "+" : "-"}${"xyz"[axis.findIndex((v) => v !== 0)]}`;
-
-/**
- * Returns the images of the block's own x, y and z axes.
- * @param {string} axes
- */
-function imagesOf(axes) {
-  const [x, y] = axes.split(" ").map(axisOf);
-  return [x, y, cross3(x, y)];
-}
-
-/**
- * Returns the axes after a quarter turn about the axis `about`.
- * @param {string} axes
- * @param {Vector} about
- */
-function quarter(axes, about) {
-  const turned = (/** @type {Vector} */ v) => add3(about.map((a) => a * dot3(about, v)), cross3(about, v));
-  return axes.split(" ").map((name) => nameOf(turned(axisOf(name)).map(Math.round))).join(" ");
-}
-
-/**
- * Returns the rotation as a quaternion x, y, z, w.
- * @param {string} axes
- */
-function quaternionOf(axes) {
-  const [x, y, z] = imagesOf(axes);
-  const squares = [1 + x[0] - y[1] - z[2], 1 - x[0] + y[1] - z[2], 1 - x[0] - y[1] + z[2], 1 + x[0] + y[1] + z[2]];
-  // Start from the largest component, then divide by it to get the others.
-  const most = squares.indexOf(Math.max(...squares));
-  const rows = [
-    [squares[0], x[1] + y[0], x[2] + z[0], y[2] - z[1]],
-    [x[1] + y[0], squares[1], y[2] + z[1], z[0] - x[2]],
-    [x[2] + z[0], y[2] + z[1], squares[2], x[1] - y[0]],
-    [y[2] - z[1], z[0] - x[2], x[1] - y[0], squares[3]],
-  ];
-  const length = 2 * Math.sqrt(squares[most]);
-  return rows[most].map((v) => v / length);
-}
 
 /**
  * @typedef {object} Parts
@@ -87,6 +48,11 @@ export class Editor {
    * @type {string[]}
    */
   past = [];
+  /**
+   * Undone blocks as JSON, for redo.
+   * @type {string[]}
+   */
+  future = [];
   /**
    * Index of the selected block.
    * @type {number | null}
@@ -120,19 +86,16 @@ export class Editor {
   /** Edge of a cell, meters. */
   unit = 0;
   /**
-   * Where the pointer went down, pixels.
-   * @type {[number, number] | null}
-   */
-  pressed = null;
-
-  /**
    * @param {Stage} stage
    * @param {Parts} parts
    */
   constructor(stage, parts) {
     this.stage = stage;
     this.parts = parts;
-    this.parts.open.addEventListener("click", () => this.toggle());
+    this.parts.open.addEventListener("click", async () => {
+      await this.toggle();
+      if (!this.parts.board.hidden) this.parts.open.scrollIntoView();
+    });
     this.parts.tools.addEventListener("click", ({ target }) => { if (target instanceof HTMLElement && target.dataset.do) this.act(target.dataset.do); });
     this.parts.layer.addEventListener("input", () => this.lift(Number(this.parts.layer.value)));
     this.parts.match.addEventListener("click", () => this.change(() => { this.blocks.forEach((block) => { block.is_free = true; }); }));
@@ -142,11 +105,7 @@ export class Editor {
     this.parts.file.addEventListener("change", () => this.upload());
     this.parts.copy.addEventListener("click", () => this.take());
     this.parts.canvas.addEventListener("keydown", (event) => this.key(event));
-    // A second finger or another button moves the view.
-    this.parts.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.isPrimary && event.button === 0 ? [event.clientX, event.clientY] : null; });
-    this.parts.canvas.addEventListener("pointerup", (event) => this.release(event));
-    this.parts.canvas.addEventListener("pointermove", (event) => this.hover(event));
-    this.parts.canvas.addEventListener("pointerleave", () => this.desk && this.desk.hint(null));
+    new Pointer(this);
     new ResizeObserver(() => this.resize()).observe(this.parts.board);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       if (!this.desk) return;
@@ -158,6 +117,7 @@ export class Editor {
   /** Opens or closes the board. */
   async toggle(on = this.parts.board.hidden) {
     this.parts.board.hidden = !on;
+    address.set({ draw: on ? "open" : null });
     this.parts.open.setAttribute("aria-expanded", String(on));
     this.parts.open.textContent = on ? "Close the drawing" : "Draw a structure";
     if (!on || this.desk) return;
@@ -231,6 +191,7 @@ export class Editor {
     if (this.selected !== null && this.selected >= this.blocks.length) this.selected = null;
     if (this.past[this.past.length - 1] !== before) this.past.push(before);
     if (this.past.length > 200) this.past.shift();
+    this.future = [];
     if (this.tool && this.left(this.tool) === 0) this.tool = null;
     this.draw();
     this.ask();
@@ -330,7 +291,7 @@ export class Editor {
     this.parts.match.disabled = !problems.some(({ check }) => check === "polarity");
     this.parts.copy.disabled = !this.stage.chosen;
     /** @type {Record<string, boolean>} */
-    const needed = { undo: this.past.length > 0, clear: n > 0, fit: true };
+    const needed = { undo: this.past.length > 0, redo: this.future.length > 0, clear: n > 0, fit: true };
     for (const button of this.parts.tools.querySelectorAll("button")) button.disabled = !(needed[button.dataset.do] ?? (this.selected !== null || this.tool !== null));
   }
 
@@ -395,36 +356,7 @@ export class Editor {
       this.blocks.push({ type: this.tool, at: spot.at, axes: this.axes, is_free: true });
       this.selected = this.blocks.length - 1;
     });
-  }
-
-  /**
-   * Returns the block or cell under the pointer.
-   * @param {PointerEvent} event
-   */
-  under(event) {
-    const box = this.parts.canvas.getBoundingClientRect();
-    return this.desk.pick(event.clientX - box.left, event.clientY - box.top);
-  }
-
-  /** @param {PointerEvent} event */
-  release(event) {
-    // A drag moved the view instead.
-    if (!this.desk || !event.isPrimary || !this.pressed || Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 5) return;
-    const hit = this.under(event);
-    this.desk.hint(null);
-    if (this.tool) {
-      if (hit) this.place(this.fitting(hit.cell, hit.normal));
-    } else {
-      this.selected = hit ? hit.block : null;
-      this.draw();
-    }
-  }
-
-  /** @param {PointerEvent} event */
-  hover(event) {
-    if (!this.desk || !this.tool || event.pointerType !== "mouse" || event.buttons !== 0) return;
-    const hit = this.under(event);
-    this.desk.hint(hit && this.fitting(hit.cell, hit.normal));
+    if (!this.desk.sees(spot)) this.desk.all();
   }
 
   /** Places a block without a pointer: on top of the selected or last block, or at the center of the grid. */
@@ -434,6 +366,19 @@ export class Editor {
     const size = below && this.cells(below.type, below.axes);
     const top = below ? below.at.map((v, k) => (k === 2 ? v + size[2] : v + Math.floor((size[k] - 1) / 2))) : [0, 0, this.height];
     this.place(this.fitting(top, [0, 0, 1]));
+  }
+
+  /**
+   * Returns the axis about which the block tips over: one that a long block that lies stands up by.
+   * @param {Vector} right the direction that points right on the screen
+   */
+  tipping(right) {
+    const block = this.blocks[this.selected];
+    if (!block && !this.tool) return right;
+    const size = this.cells(block ? block.type : this.tool, block ? block.axes : this.axes);
+    const along = right.findIndex((v) => v !== 0);
+    // Its longer side, if it has one, rises.
+    return size[along] > size[1 - along] ? cross3(right, [0, 0, 1]) : right;
   }
 
   /**
@@ -453,8 +398,8 @@ export class Editor {
       // Keep the middle cell and the bottom of the block in place.
       const middle = (/** @type {Vector} */ size, /** @type {number} */ k) => (k === 2 ? 0 : Math.floor((size[k] - 1) / 2));
       block.at = block.at.map((v, k) => v + middle(before, k) - middle(after, k));
-      // If the cells stay the same, the user is setting the poles: keep the server from turning any block.
-      if (after.join() === before.join()) this.blocks.forEach((one) => { one.is_free = false; });
+      // The server must not turn the others. If the cells stay the same, the user is setting the poles of this one.
+      this.blocks.forEach((one) => { one.is_free = one === block && after.join() !== before.join(); });
       this.axes = block.axes;
     });
   }
@@ -484,7 +429,7 @@ export class Editor {
     const moves = { left: minus(right), right, back, front: minus(back), up: [0, 0, 1], down: [0, 0, -1] };
     if (moves[what]) this.shift(moves[what]);
     else if (what === "turn") this.rotate([0, 0, 1]);
-    else if (what === "tip") this.rotate(right);
+    else if (what === "tip") this.rotate(this.tipping(right));
     else if (what === "fit") this.desk.all();
     else if (what === "clear") this.change(() => { [this.blocks, this.selected] = [[], null]; });
     else if (what === "remove" && this.selected !== null) {
@@ -492,12 +437,22 @@ export class Editor {
         this.blocks.splice(this.selected, 1);
         this.selected = null;
       });
-    } else if (what === "undo" && this.past.length > 0) {
-      this.blocks = JSON.parse(this.past.pop());
-      if (this.selected >= this.blocks.length) this.selected = null;
-      this.draw();
-      this.ask();
-    }
+    } else if (what === "undo") this.goBack(this.past, this.future);
+    else if (what === "redo") this.goBack(this.future, this.past);
+  }
+
+  /**
+   * Takes the newest of `from`, and keeps what was there in `to`.
+   * @param {string[]} from
+   * @param {string[]} to
+   */
+  goBack(from, to) {
+    if (from.length === 0) return;
+    to.push(JSON.stringify(this.blocks));
+    this.blocks = JSON.parse(from.pop());
+    if (this.selected >= this.blocks.length) this.selected = null;
+    this.draw();
+    this.ask();
   }
 
   /** @param {KeyboardEvent} event */
@@ -508,14 +463,15 @@ export class Editor {
     const views = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
     const { key } = event;
     if (!this.desk || event.altKey) return;
-    if ((event.ctrlKey || event.metaKey) && key === "z") this.act("undo");
+    if ((event.ctrlKey || event.metaKey) && key.toLowerCase() === "z") this.act(event.shiftKey ? "redo" : "undo");
+    else if (event.ctrlKey && key === "y") this.act("redo");
     else if (event.ctrlKey || event.metaKey) return;
     else if (moves[key] && (event.shiftKey || key.startsWith("Page"))) this.act(moves[key]);
     else if (views[key] && this.selected === null) this.desk.turn(...views[key]);
     else if (key === "ArrowLeft") this.rotate([0, 0, -1]);
     else if (key === "r" || key === "R" || key === "ArrowRight") this.rotate([0, 0, 1]);
     else if (key === "t" || key === "T" || key === "ArrowUp") this.act("tip");
-    else if (key === "ArrowDown") this.rotate(this.desk.right().map((v) => -v));
+    else if (key === "ArrowDown") this.rotate(this.tipping(this.desk.right()).map((v) => -v));
     else if (key === "Delete" || key === "Backspace") this.act("remove");
     else if (key === "Enter" || key === " ") this.placeNext();
     else if (key === "+" || key === "-") this.desk.near(key === "+" ? 1.15 : 0.87);
@@ -575,10 +531,9 @@ export class Editor {
 
   download() {
     if (!this.found.toml) return;
-    const url = URL.createObjectURL(new Blob([this.found.toml], { type: "application/toml" }));
     const [, id] = /^id = "([^"]+)"/m.exec(this.found.toml);
-    element("a", { href: url, download: `${id}.toml` }).click();
-    setTimeout(() => URL.revokeObjectURL(url), 10000);
+    const name = this.parts.name.value.trim().replace(/[^\p{L}\p{N}]+/gu, "-");
+    save(new Blob([this.found.toml], { type: "application/toml" }), `${name || id}.toml`);
   }
 
   /** @param {Agent} agent */

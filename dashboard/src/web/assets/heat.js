@@ -11,6 +11,8 @@ import { $, count, percent } from "./format.js";
 
 /** @typedef {{ row: number, column: number }} Cell */
 
+const FONT = "12px system-ui, sans-serif";
+
 const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
 /**
@@ -101,10 +103,15 @@ export class Heat {
    * @param {number} width
    */
   layout(width) {
+    const pen = this.canvas.getContext("2d");
+    pen.font = FONT;
+    const longest = (/** @type {string[]} */ words) => Math.max(...words.map((word) => pen.measureText(word).width), 0);
     const n = Math.max(this.rows.length, 1);
     const height = Math.max(Math.min(420 / n, 26), 4);
     const names = height >= 12;
-    const left = names ? 132 : 88;
+    // On a phone there is no room for both; the names of other splits begin with theirs.
+    const hasGroups = !names || width >= 500;
+    const left = (hasGroups ? longest(this.rows.map((row) => row.group)) : 0) + (names ? longest(this.rows.map((row) => row.id)) + 12 : 0) + 8;
     let y = 4;
     /** @type {string | null} */
     let group = null;
@@ -123,7 +130,7 @@ export class Heat {
     // With few evaluations, limit the cell width. A single evaluation is drawn as bars across the full width.
     const isOne = this.passes.length === 1;
     const column = isOne ? width - left : Math.min((width - left) / Math.max(this.passes.length, 1), 180);
-    return { height, names, left, groups, column, isOne, total: y };
+    return { height, names, hasGroups, left, groups, column, isOne, total: y };
   }
 
   draw() {
@@ -140,7 +147,7 @@ export class Heat {
     pen.scale(ratio, ratio);
     const style = getComputedStyle(document.documentElement);
     const color = (/** @type {string} */ name) => style.getPropertyValue(name);
-    pen.font = "12px system-ui, sans-serif";
+    pen.font = FONT;
     pen.fillStyle = color("--quiet");
     if (this.passes.length === 0) {
       pen.fillText("No evaluation with these actions yet.", 0, 20);
@@ -164,7 +171,7 @@ export class Heat {
     pen.textBaseline = "middle";
     for (const group of at.groups) {
       pen.fillStyle = color("--quiet");
-      if (at.names || group.end - group.y >= 10) pen.fillText(group.name, 0, at.names ? group.y + at.height / 2 : (group.y + group.end) / 2);
+      if (at.hasGroups && (at.names || group.end - group.y >= 10)) pen.fillText(group.name, 0, at.names ? group.y + at.height / 2 : (group.y + group.end) / 2);
     }
     if (at.names) {
       pen.fillStyle = color("--text");

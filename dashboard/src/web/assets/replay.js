@@ -1,38 +1,22 @@
 // The episode player: play, scrub and step; drag, pinch or press keys to move the camera.
 
+import { address } from "./address.js";
 import { shade } from "./attention.js";
 import { $ } from "./format.js";
+import { FOLLOW_STEPS } from "./follow.js";
 import { NO_ANSWER, answerAt, model } from "./model.js";
-import { apart3, between, placed } from "./solid.js";
+import { add3 } from "./solid.js";
+import { View } from "./view.js";
 
 /** @import { Attention } from "./attention.js" */
-/** @import { Space } from "./space.js" */
 /** @import { Terms } from "./terms.js" */
-/** @import { Box, Episode, Video, Scene, Vector } from "./types" */
-
-/** @type {Promise<typeof import("./space.js")> | null} */
-let spaceModule = null;
-
-/** Loads the 3D module once, with the first episode. */
-const loadSpace = () => (spaceModule ||= import("./space.js").catch((error) => {
-  // It may not have come through, and the next episode asks again.
-  spaceModule = null;
-  throw error;
-}));
-
-/** Loose blocks farther than this (meters) from the middle of the goal's blocks may be out of view, as in clips. */
-const REACH_M = 1.6;
-
-/** Blocks farther than this from the origin have fallen off the world, meters. */
-const WORLD_M = 10;
-
-/** Number of scenes over which the camera movement is smoothed. */
-const FOLLOW_STEPS = 14;
+/** @import { Episode } from "./types" */
 
 /**
  * @typedef {object} Parts
  * @property {HTMLElement} player holds the parts below, and is hidden until there is an episode
- * @property {HTMLCanvasElement} canvas
+ * @property {import("./view.js").Parts} main
+ * @property {import("./view.js").Parts} beside the second picture
  * @property {HTMLInputElement} slider
  * @property {HTMLElement} playButton
  * @property {HTMLElement} back
@@ -58,35 +42,35 @@ export class Replay {
   width = 0;
   /** Whether the camera follows the construction. */
   follows = true;
-  /**
-   * The view in 3D, once there is an episode.
-   * @type {Space}
-   */
-  space;
-  /** @type {Episode} */
-  episode;
-  /** Steps of the episode. */
+  /** Steps of the longer episode. */
   n = 0;
   /**
-   * What the camera shows at each scene and while it settles.
-   * @type {Box[]}
+   * The pictures that show something: none, one, or two in step.
+   * @type {View[]}
    */
-  boxes = [];
+  views = [];
   /** @type {(() => void) | undefined} */
   ended;
 
   /** @param {Parts} parts */
   constructor(parts) {
     this.parts = parts;
-    this.parts.canvas.addEventListener("keydown", (event) => this.key(event));
-    this.parts.canvas.addEventListener("dblclick", () => this.fit());
+    this.main = new View(parts.main);
+    this.beside = new View(parts.beside);
+    for (const { canvas } of [parts.main, parts.beside]) {
+      canvas.addEventListener("keydown", (event) => this.key(event));
+      canvas.addEventListener("dblclick", () => this.fit());
+    }
     this.parts.playButton.addEventListener("click", () => this.play(!this.playing));
     this.parts.back.addEventListener("click", () => this.step(-1));
     this.parts.forth.addEventListener("click", () => this.step(1));
     this.parts.fitButton.addEventListener("click", () => this.fit());
     this.parts.fullButton.addEventListener("click", () => this.full());
     this.parts.speedChoice.addEventListener("change", () => { this.speed = Number(this.parts.speedChoice.value); });
-    this.parts.ghost.addEventListener("change", () => this.draw());
+    this.parts.ghost.addEventListener("change", () => {
+      address.set({ goal: this.parts.ghost.checked ? null : "hidden" });
+      this.draw();
+    });
     this.parts.slider.addEventListener("input", () => {
       this.play(false);
       this.seek(Number(this.parts.slider.value));
@@ -99,18 +83,23 @@ export class Replay {
       this.resize();
     }).observe(this.parts.player);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      if (!this.space) return;
-      this.space.theme();
+      for (const { space } of [this.main, this.beside]) if (space) space.theme();
       this.draw();
     });
   }
 
-  /** Creates the 3D scene. If that fails, shows why and returns false. */
-  async prepare() {
-    if (this.space) return true;
+  /** The episode, if there is one. */
+  get episode() {
+    return this.main.episode;
+  }
+
+  /**
+   * Creates the 3D scenes of so many pictures. If that fails, shows why and returns false.
+   * @param {number} n
+   */
+  async prepare(n) {
     try {
-      const { Space } = await loadSpace();
-      this.space ||= new Space(this.parts.canvas, () => { this.follows = false; });
+      for (const view of [this.main, this.beside].slice(0, n)) await view.prepare(() => { this.follows = false; }, () => this.noteCamera(view));
       return true;
     } catch {
       this.parts.note.textContent = "This browser cannot draw in 3D (WebGL is off or missing), or the program does not answer. The videos below do not need WebGL.";
@@ -122,11 +111,15 @@ export class Replay {
   key(event) {
     /** @type {Record<string, [number, number]>} */
     const keys = { ArrowLeft: [-0.15, 0], ArrowRight: [0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
-    if (!this.space) return;
-    if (keys[event.key]) this.space.turn(...keys[event.key]);
-    else if (event.key === "+" || event.key === "-") {
+    const view = this.views.find(({ parts }) => parts.canvas === event.target);
+    if (!view) return;
+    if (keys[event.key]) {
+      view.space.turn(...keys[event.key]);
+      this.noteCamera(view);
+    } else if (event.key === "+" || event.key === "-") {
       this.follows = false;
-      this.space.near(event.key === "+" ? 1.15 : 0.87);
+      view.space.near(event.key === "+" ? 1.15 : 0.87);
+      this.noteCamera(view);
     }
     else if (event.key === " ") this.play(!this.playing);
     else if (event.key === "f") this.full();
@@ -138,75 +131,88 @@ export class Replay {
   }
 
   /**
-   * Shows an episode from its start and calls `ended` when playback reaches its end.
-   * @param {Episode} episode
+   * Puts the camera of a picture into the address: where it stands and looks, or only from where while it follows.
+   * @param {View} view
+   */
+  noteCamera(view) {
+    const { position, target } = view.space.stand();
+    // Each picture has its structure at another place.
+    const away = this.main.middle().map((v, k) => v - view.middle()[k]);
+    const exact = this.follows
+      ? position.sub(target).normalize().toArray()
+      : [...add3(position.toArray(), away), ...add3(target.toArray(), away)];
+    const camera = exact.map((x) => Number(x.toFixed(3)));
+    address.set({ camera: camera.join(",") });
+    // What the address says is what is shown, to the pixel.
+    this.place(camera);
+    this.draw();
+  }
+
+  /**
+   * Places the cameras of all pictures.
+   * @param {number[]} camera as in the address
+   */
+  place(camera) {
+    const [position, target] = [camera.slice(0, 3), camera.slice(3)];
+    for (const view of this.views) {
+      const away = view.middle().map((v, k) => v - this.main.middle()[k]);
+      if (target.length > 0) view.space.place(add3(position, away), add3(target, away));
+      else view.space.place(position, []);
+    }
+  }
+
+  /** Follows the construction with the camera again, as a new episode begins. */
+  leave() {
+    if (this.follows) return;
+    this.follows = true;
+    this.noteCamera(this.main);
+  }
+
+  /**
+   * Shows an episode, from its start or as the address says, and calls `ended` when playback reaches its end.
+   * @param {Episode[]} episodes one, or two to show in step
    * @param {() => void} [ended]
    */
-  show(episode, ended) {
+  show(episodes, ended) {
+    const step = address.get("step");
     this.play(false);
-    [this.episode, this.ended] = [episode, ended];
-    this.n = episode.scenes.length - 1;
+    this.ended = ended;
+    this.views = [this.main, this.beside].slice(0, episodes.length);
+    this.beside.parts.figure.hidden = episodes.length < 2;
+    this.views.forEach((view, i) => view.load(episodes[i]));
+    this.n = Math.max(...this.views.map(({ n }) => n));
     this.parts.slider.max = String(this.n);
-    this.space.load(episode);
-    this.parts.terms.show(episode);
-    this.parts.attention.show(episode);
-    this.plan();
+    this.parts.terms.show(this.episode);
+    this.parts.attention.show(this.episode);
     this.size();
     this.follows = true;
     this.seek(0);
-    this.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+    this.play(step === null && !matchMedia("(prefers-reduced-motion: reduce)").matches);
+    address.set({ step });
+    this.restore();
+  }
+
+  /** Shows the step and takes the camera that the address names. */
+  restore() {
+    const camera = (address.get("camera") || "").split(",").map(Number);
+    if (camera.every(Number.isFinite) && [3, 6].includes(camera.length)) {
+      this.follows = camera.length === 3;
+      this.place(camera);
+    }
+    const step = address.get("step");
+    if (step === null) {
+      this.draw();
+      return;
+    }
+    this.play(false);
+    this.seek(Math.min(Math.max(Number(step) || 0, 0), this.n));
   }
 
   /** Makes the camera follow the construction again. */
   fit() {
     if (!this.episode) return;
     this.follows = true;
-    this.draw();
-  }
-
-  /** Computes the box to show at each scene and while the camera settles: the goal's blocks and its location. */
-  plan() {
-    const { goal, scenes, half_extents_m: halves } = this.episode;
-    /** @type {(pick: (...all: number[]) => number, points: Vector[]) => Vector} */
-    const corner = (pick, points) => [0, 1, 2].map((i) => pick(...points.map((point) => point[i])));
-    /** @type {(points: Vector[], half: number) => Box} */
-    const around = (points, half) => [corner(Math.min, points).map((x) => x - half), corner(Math.max, points).map((x) => x + half)];
-    /** @type {(boxes: Box[]) => Box} */
-    const union = (boxes) => [corner(Math.min, boxes.map(([low]) => low)), corner(Math.max, boxes.map(([, high]) => high))];
-    /** @type {(scene: Scene) => Box} */
-    const place = ({ goal_frame: frame }) => around(goal.map(([, pose]) => placed(frame, pose)), 0.1);
-    const needed = scenes.map((scene) => {
-      const median = [0, 1].map((i) => goal.map(([block]) => scene.blocks[block][i]).sort((a, b) => a - b)[goal.length >> 1]);
-      const wanted = goal.filter(([block, pose]) => {
-        const at = scene.blocks[block];
-        const isNear = [0, 1].every((i) => Math.abs(at[i] - median[i]) < REACH_M);
-        const isBuilt = apart3(at, placed(scene.goal_frame, pose)) < 0.02;
-        // A policy in training may throw blocks far away. Blocks that are in place or held stay in view.
-        return [0, 1, 2].every((i) => Math.abs(at[i]) < WORLD_M) && (isNear || isBuilt || scene.held.includes(block));
-      });
-      const boxes = wanted.map(([block]) => around([scene.blocks[block]], Math.max(...halves[block])));
-      // Until blocks are connected, the location of the goal is undetermined.
-      return union(scene.n_connected > 0 || boxes.length === 0 ? [place(scene), ...boxes] : boxes);
-    });
-    // Zooms out before a block needs room and zooms in slowly: each box is a mean of boxes that all contain what its
-    // scene needs.
-    const ahead = needed.map((_, i) => union(needed.slice(i, i + FOLLOW_STEPS + 1)));
-    const at = (/** @type {number} */ i) => ahead[Math.min(Math.max(i, 0), this.n)];
-    this.boxes = Array.from({ length: this.n + 1 + FOLLOW_STEPS }, (_, i) => {
-      const before = Array.from({ length: FOLLOW_STEPS + 1 }, (__, back) => at(i - back));
-      return [0, 1].map((side) => [0, 1, 2].map((axis) => before.reduce((sum, box) => sum + box[side][axis], 0) / before.length));
-    });
-  }
-
-  /**
-   * Returns the box to show.
-   * @param {number} time in scenes; beyond the last while the camera settles
-   * @returns {Box}
-   */
-  view(time) {
-    const from = Math.min(Math.floor(time), this.boxes.length - 1);
-    const to = Math.min(from + 1, this.boxes.length - 1);
-    return [0, 1].map((side) => this.boxes[from][side].map((x, i) => x + (this.boxes[to][side][i] - x) * (time - from)));
+    this.noteCamera(this.main);
   }
 
   /** Moves the camera close to the finished structure once playback has ended. */
@@ -226,17 +232,17 @@ export class Replay {
 
   /** Fits the canvas to the available space. Takes effect at the next render. */
   size() {
-    const width = this.parts.canvas.clientWidth;
+    const width = this.parts.player.clientWidth;
     if (width === 0) return;
     this.width = width;
     const isFull = this.parts.player.classList.contains("full") || document.fullscreenElement === this.parts.player;
-    if (isFull) this.parts.canvas.style.height = "";
-    else this.parts.canvas.style.height = `${Math.round(Math.min(Math.max(width * 0.56, 300), 560, window.innerHeight * 0.66))}px`;
-    this.space.resize(width, this.parts.canvas.clientHeight);
+    const each = this.main.parts.canvas.clientWidth;
+    const height = isFull ? "" : `${Math.round(Math.min(Math.max(each * 0.56, 300), 560, window.innerHeight * 0.66))}px`;
+    for (const view of this.views) view.size(height);
   }
 
   resize() {
-    if (!this.space || !this.episode) return;
+    if (this.views.length === 0) return;
     this.size();
     this.draw();
   }
@@ -260,13 +266,22 @@ export class Replay {
     [this.time, this.after] = [time, 0];
     const at = Math.floor(time);
     this.parts.slider.value = String(at);
-    const scene = this.episode.scenes[at];
+    for (const view of this.views) view.tell(time);
+    const { episode, n } = this.main;
+    const shown = Math.min(at, n);
+    const scene = episode.scenes[shown];
     this.parts.slider.setAttribute("aria-valuetext", `step ${at} of ${this.n}`);
-    const end = this.n === at ? `, ${this.episode.end}` : "";
-    this.parts.text.textContent = `step ${at} of ${this.n}, ${scene.n_connected} ${scene.n_connected === 1 ? "connection" : "connections"}, reward ${scene.reward.toFixed(2)}${end}`;
-    this.parts.terms.seek(time);
-    this.parts.attention.seek(time);
+    const end = n === shown ? `, ${episode.end}` : "";
+    this.parts.text.textContent = `step ${shown} of ${n}, ${scene.n_connected} ${scene.n_connected === 1 ? "connection" : "connections"}, reward ${scene.reward.toFixed(2)}${end}`;
+    this.parts.terms.seek(Math.min(time, n));
+    this.parts.attention.seek(Math.min(time, n));
+    if (!this.playing) this.noteStep();
     this.draw();
+  }
+
+  /** Puts the step into the address, unless the episode plays. */
+  noteStep() {
+    if (this.episode) address.set({ step: this.playing ? null : Number(this.time.toFixed(1)) });
   }
 
   /** @param {boolean} on */
@@ -274,6 +289,7 @@ export class Replay {
     const was = this.playing;
     this.playing = on && Boolean(this.episode);
     this.parts.playButton.textContent = this.playing ? "Pause" : "Play";
+    if (this.playing !== was) this.noteStep();
     if (!this.playing || was) return;
     if (this.time >= this.n) this.time = 0;
     /** @type {number | null} */
@@ -296,49 +312,37 @@ export class Replay {
   }
 
   draw() {
-    const { episode, space } = this;
-    if (!episode || !space) return;
-    const [low, high] = [Math.floor(this.time), Math.min(Math.floor(this.time) + 1, this.n)];
-    const [from, to, share] = [episode.scenes[low], episode.scenes[high], this.time - low];
-    const poses = from.blocks.map((pose, block) => between(pose, to.blocks[block], share));
-    const attention = this.parts.attention.at(this.time);
-    // The frame jumps when another piece becomes the largest. Interpolate only smaller movements.
-    const frame = apart3(from.goal_frame, to.goal_frame) < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
-    const ghosts = episode.goal.map(([block, pose]) => {
-      const there = placed(frame, pose);
-      return this.parts.ghost.checked && apart3(poses[block], there) > 0.02 ? there : null;
-    });
-    if (this.follows) {
-      const [lowest, highest] = this.view(this.time + this.after);
-      space.fit(lowest, highest);
+    const { ghost, attention } = this.parts;
+    for (const view of this.views) {
+      view.attention = view === this.main ? attention.at(view.time) : null;
+      view.draw(this.after, { follows: this.follows, hasGhosts: ghost.checked, shades: view.attention && view.attention.map(shade) });
     }
-    space.show(poses, from.held, attention && attention.map(shade), ghosts);
   }
 }
 
 /**
- * Shows the player with an episode.
+ * Shows the player with an episode, or two in step.
  * @param {Replay} replay
- * @param {Episode} episode
+ * @param {Episode[]} episodes
  * @param {() => void} [ended] called when playback reaches its end
  */
-export async function present(replay, episode, ended) {
-  if (!(await replay.prepare())) return;
+export async function present(replay, episodes, ended) {
+  if (!(await replay.prepare(episodes.length))) return;
   replay.parts.player.hidden = false;
-  replay.show(episode, ended);
+  replay.show(episodes, ended);
 }
 
 /**
- * Plays the episode of a video clip.
+ * Plays the recorded episode of a video.
  * @param {Replay} replay
  * @param {HTMLElement} note
- * @param {Video} video
+ * @param {string} id of the video
  */
-export async function openRecording(replay, note, video) {
+export async function openRecording(replay, note, id) {
   /** @type {Episode | null} */
   let episode = null;
   try {
-    const answer = await fetch(answerAt(model.base, "recording", video.id));
+    const answer = await fetch(answerAt(model.base, "recording", id));
     if (answer.ok) episode = await answer.json();
   } catch {
     note.textContent = NO_ANSWER;
@@ -348,8 +352,8 @@ export async function openRecording(replay, note, video) {
     note.textContent = "That recording no longer exists.";
     return;
   }
-  note.textContent = `${video.blueprint}, ${video.ending} in an evaluation of weights ${video.weights_version}`;
-  await present(replay, episode);
+  note.textContent = `${episode.title} (${episode.blueprint}), ${episode.end} in an evaluation of weights ${episode.weights_version}`;
+  await present(replay, [episode]);
   $("replay-title").scrollIntoView();
 }
 
@@ -380,7 +384,7 @@ export async function askReplay(replay, note, button) {
         /** @type {Episode} */
         const episode = JSON.parse(text);
         note.textContent = `${episode.blueprint} by actor ${episode.actor}, weights ${episode.weights_version}`;
-        await present(replay, episode);
+        await present(replay, [episode]);
         button.textContent = "Record a newer episode";
         button.disabled = false;
         return;

@@ -19,7 +19,7 @@ export const apart3 = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]
  * @param {number[]} q
  * @param {Vector} v
  */
-function turn(q, v) {
+export function turn(q, v) {
   const t = cross3(q, v).map((x) => 2 * x);
   return add3(add3(v, t.map((x) => x * q[3])), cross3(q, t));
 }
@@ -48,4 +48,22 @@ export function between(a, b, share) {
   const mixed = a.map((x, i) => x + ((i < 3 ? b[i] : sign * b[i]) - x) * share);
   const length = Math.hypot(...mixed.slice(3)) || 1;
   return mixed.map((x, i) => (i < 3 ? x : x / length));
+}
+
+/**
+ * Returns where a ray enters a box: `t` along the ray, and the `axis` of the side that it crosses; `null` if it misses.
+ * @param {Vector} from
+ * @param {Vector} way
+ * @param {Vector} low the box's lowest corner
+ * @param {Vector} high its highest corner
+ */
+export function entry(from, way, low, high) {
+  // The ray is inside the box where it is between both planes of all three axes.
+  let [enter, leave, axis] = [0, Infinity, -1];
+  for (let k = 0; k < 3; k += 1) {
+    const [a, b] = [low[k], high[k]].map((plane) => (plane - from[k]) / way[k]);
+    if (Math.min(a, b) > enter) [enter, axis] = [Math.min(a, b), k];
+    leave = Math.min(leave, Math.max(a, b));
+  }
+  return axis < 0 || enter >= leave ? null : { t: enter, axis };
 }

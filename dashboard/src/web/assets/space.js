@@ -1,22 +1,22 @@
 // The 3D view, rendered by three.js: blocks, and an episode's world with its goal in a corner. Loaded with the first
 // episode or drawing.
 
+import { Gripper } from "./grippers.js";
+import { Magnets, rgb } from "./magnets.js";
+import { entry } from "./solid.js";
 import {
-  AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, DirectionalLight, EdgesGeometry, GridHelper,
+  AmbientLight, BoxGeometry, Color, DirectionalLight, EdgesGeometry, GridHelper,
   HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, MeshLambertMaterial, OrbitControls,
   PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene, ShadowMaterial, Vector3, WebGLRenderer,
 } from "./three.js";
 
-/** @import { Material, Object3D } from "./three.js" */
+/** @import { BufferGeometry, Material, Object3D } from "./three.js" */
 /** @import { Episode, Pose, Rgb, Vector } from "./types" */
 
 /**
- * A block, with its frame in `userData`.
+ * A block, with its frame and its magnets in `userData`.
  * @typedef {Mesh<BoxGeometry, MeshLambertMaterial>} BlockMesh
  */
-
-/** Colors of negative and positive magnets, as in the video clips. */
-const MAGNETS = [[32, 82, 196], [208, 40, 46]];
 
 /** Field of view in degrees, and width of the frame around a held block in meters. */
 export const VIEW = 32;
@@ -27,63 +27,6 @@ const MARGIN = 1.06;
 const MIN_DISTANCE_M = 0.9;
 
 const BACK_SIDE = 1;
-
-/** @param {Rgb} color */
-export const rgb = ([r, g, b]) => new Color().setRGB(r / 255, g / 255, b / 255, "srgb");
-
-/**
- * Creates a disc per unit cell face, marked with its sign because not everyone can tell red from blue.
- * @param {Vector} half half the block's size, meters
- * @param {number} unit edge of a cell, meters
- */
-function magnets(half, unit) {
-  /** @type {number[][]} */
-  const [places, normals, colors] = [[], [], []];
-  const corner = (/** @type {Vector} */ at, /** @type {Vector} */ out, /** @type {Color} */ color) => {
-    places.push(...at);
-    normals.push(...out);
-    colors.push(color.r, color.g, color.b);
-  };
-  const white = rgb([255, 255, 255]);
-  for (let axis = 0; axis < 3; axis += 1) {
-    const [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
-    const cells = [u, v].map((i) => Math.round((2 * half[i]) / unit));
-    for (const side of [-1, 1]) {
-      const out = [0, 0, 0];
-      out[axis] = side;
-      const color = rgb(MAGNETS[side > 0 ? 1 : 0]);
-      for (let cell = 0; cell < cells[0] * cells[1]; cell += 1) {
-        const middle = [((cell % cells[0]) + 0.5) * unit - half[u], (Math.floor(cell / cells[0]) + 0.5) * unit - half[v]];
-        /** @type {(a: number, b: number, lift: number) => Vector} */
-        const at = (a, b, lift) => {
-          const point = [0, 0, 0];
-          [point[axis], point[u], point[v]] = [side * (half[axis] + lift), middle[0] + a * unit, middle[1] + b * unit];
-          return point;
-        };
-        // Counterclockwise from outside.
-        /** @type {(points: number[][], lift: number, paint: Color) => void} */
-        const triangle = (points, lift, paint) =>
-          (side > 0 ? points : [...points].reverse()).forEach(([a, b]) => corner(at(a, b, lift), out, paint));
-        const n = 20;
-        for (let i = 0; i < n; i += 1) {
-          const [from, to] = [i, i + 1].map((k) => [0.2 * Math.cos((2 * Math.PI * k) / n), 0.2 * Math.sin((2 * Math.PI * k) / n)]);
-          triangle([[0, 0], from, to], 0.0006, color);
-        }
-        const bar = (/** @type {number} */ w, /** @type {number} */ h) => {
-          triangle([[-w, -h], [w, -h], [w, h]], 0.0012, white);
-          triangle([[-w, -h], [w, h], [-w, h]], 0.0012, white);
-        };
-        bar(0.12, 0.03);
-        if (side > 0) bar(0.03, 0.12);
-      }
-    }
-  }
-  const geometry = new BufferGeometry();
-  for (const [name, values] of Object.entries({ position: places, normal: normals, color: colors })) {
-    geometry.setAttribute(name, new BufferAttribute(new Float32Array(values), 3));
-  }
-  return geometry;
-}
 
 /**
  * Creates a box that is larger by `margin` on every side, meters.
@@ -106,13 +49,13 @@ export function blockMesh(half, color, unit) {
   const box = boxOf(half, 0);
   const mesh = new Mesh(box, new MeshLambertMaterial({ color: rgb(color) }));
   mesh.castShadow = mesh.receiveShadow = true;
-  const discs = new Mesh(magnets(half, unit), new MeshLambertMaterial({ vertexColors: true }));
-  discs.receiveShadow = true;
+  const discs = new Magnets(half, unit);
   const edges = new LineSegments(new EdgesGeometry(box), new LineBasicMaterial({ color: 0x20262c, transparent: true, opacity: 0.55 }));
   const frame = new Mesh(boxOf(half, FRAME_M), new MeshBasicMaterial({ side: BACK_SIDE }));
   frame.visible = false;
   mesh.add(discs, edges, frame);
   mesh.userData.frame = frame;
+  mesh.userData.magnets = discs;
   return mesh;
 }
 
@@ -138,6 +81,7 @@ export function ghostMesh(half, color) {
 export function put(mesh, pose) {
   mesh.position.set(pose[0], pose[1], pose[2]);
   mesh.quaternion.set(pose[3], pose[4], pose[5], pose[6]);
+  if (mesh.userData.magnets) mesh.userData.magnets.level(pose);
 }
 
 /**
@@ -188,8 +132,10 @@ export class Space {
   reach = 0;
   /** @type {Color[]} */
   colors = [];
-  /** @type {Color[]} */
+  /** @type {Gripper[]} */
   grippers = [];
+  /** @type {Episode} */
+  episode;
   /**
    * Width and height of the canvas on the page, pixels.
    * @type {[number, number]}
@@ -203,9 +149,10 @@ export class Space {
   /**
    * Throws if WebGL is unavailable.
    * @param {HTMLCanvasElement} canvas
-   * @param {() => void} moved called when the user moves the camera
+   * @param {() => void} moved called when the user begins to move the camera
+   * @param {() => void} stopped called when the user has moved it
    */
-  constructor(canvas, moved) {
+  constructor(canvas, moved, stopped) {
     this.canvas = canvas;
     // Preserve the buffer so that the image can be read at any time.
     this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
@@ -230,6 +177,7 @@ export class Space {
     // Skip this during `settle`: a render follows anyway, and each one draws all blocks and shadows.
     this.controls.addEventListener("change", () => { if (!this.still) this.render(); });
     this.controls.addEventListener("start", moved);
+    this.controls.addEventListener("end", stopped);
     this.theme();
   }
 
@@ -251,11 +199,12 @@ export class Space {
    * @param {Episode} episode
    */
   load(episode) {
-    dispose(this.scene, [...this.blocks, ...this.ghosts]);
+    dispose(this.scene, [...this.blocks, ...this.ghosts, ...this.grippers.flatMap(({ parts }) => parts)]);
     dispose(this.corner, this.goal);
     const { half_extents_m: halves, colors, unit_m: unit, goal } = episode;
     this.colors = colors.map(rgb);
-    this.grippers = episode.gripper_colors.map(rgb);
+    this.episode = episode;
+    this.grippers = episode.gripper_colors.map((color, i) => new Gripper(i, rgb(color)));
     this.blocks = halves.map((half, block) => blockMesh(half, colors[block], unit));
     this.ghosts = goal.map(([block]) => ghostMesh(halves[block], colors[block]));
     this.goal = goal.map(([block, pose]) => {
@@ -263,7 +212,7 @@ export class Space {
       put(mesh, pose);
       return mesh;
     });
-    this.scene.add(...this.blocks, ...this.ghosts);
+    this.scene.add(...this.blocks, ...this.ghosts, ...this.grippers.flatMap(({ parts }) => parts));
     if (this.goal.length > 0) this.corner.add(...this.goal);
     const places = goal.map(([, pose]) => new Vector3(pose[0], pose[1], pose[2]));
     this.middle = places.reduce((sum, place) => sum.add(place), new Vector3()).divideScalar(Math.max(places.length, 1));
@@ -272,25 +221,55 @@ export class Space {
   }
 
   /**
-   * Moves every block to its pose.
+   * Moves every block to its pose, and the claws to their grips.
    * @param {Pose[]} poses
+   * @param {number} time in scenes
    * @param {(number | null)[]} held the block in each gripper
    * @param {Rgb[] | null} shades the blocks' colors instead of their own
    * @param {(Pose | null)[]} ghosts where the goal's blocks belong; `null` for blocks already in place
    */
-  show(poses, held, shades, ghosts) {
+  show(poses, time, held, shades, ghosts) {
     this.blocks.forEach((mesh, block) => {
       put(mesh, poses[block]);
       mesh.material.color.copy(shades ? rgb(shades[block]) : this.colors[block]);
       const gripper = held.indexOf(block);
       mesh.userData.frame.visible = gripper >= 0;
-      if (gripper >= 0) mesh.userData.frame.material.color.copy(this.grippers[gripper]);
+      if (gripper >= 0) mesh.userData.frame.material.color.copy(this.grippers[gripper].color);
     });
+    this.grippers.forEach((gripper) => gripper.show(gripper.at(this.episode, poses, time)));
     this.ghosts.forEach((mesh, i) => {
       mesh.visible = ghosts[i] !== null;
       if (mesh.visible) put(mesh, ghosts[i]);
     });
     this.render();
+  }
+
+  /**
+   * Returns a point behind a canvas pixel, as seen from the camera.
+   * @param {number} x
+   * @param {number} y
+   */
+  beyond(x, y) {
+    const [width, height] = this.size;
+    this.camera.updateMatrixWorld();
+    return new Vector3((2 * x) / width - 1, 1 - (2 * y) / height, 0.5).unproject(this.camera);
+  }
+
+  /**
+   * Returns the block at a canvas pixel, or `null`.
+   * @param {number} x
+   * @param {number} y
+   * @returns {number | null}
+   */
+  blockAt(x, y) {
+    const far = this.beyond(x, y);
+    const hits = this.blocks.map((mesh, block) => {
+      mesh.updateMatrixWorld();
+      const [from, to] = [this.camera.position, far].map((point) => mesh.worldToLocal(point.clone()).toArray());
+      const half = this.episode.half_extents_m[block];
+      return { block, hit: entry(from, to.map((v, k) => v - from[k]), half.map((v) => -v), half) };
+    }).filter(({ hit }) => hit !== null);
+    return hits.length > 0 ? hits.reduce((a, b) => (b.hit.t < a.hit.t ? b : a)).block : null;
   }
 
   /**
@@ -320,6 +299,22 @@ export class Space {
     const [across, along] = [between(right, rise * this.camera.aspect), between(up, rise)];
     this.controls.target.copy(middle).addScaledVector(right, across.shift).addScaledVector(up, along.shift);
     this.camera.position.copy(this.controls.target).addScaledVector(back, Math.max(across.distance, along.distance, MIN_DISTANCE_M));
+    this.settle();
+  }
+
+  /** Returns where the camera stands and what it looks at. */
+  stand() {
+    return { position: this.camera.position.clone(), target: this.controls.target.clone() };
+  }
+
+  /**
+   * Places the camera without rendering.
+   * @param {Vector} position or a direction, if the camera is to fit something
+   * @param {Vector} target empty for the origin
+   */
+  place(position, target) {
+    this.controls.target.fromArray(target.length > 0 ? target : [0, 0, 0]);
+    this.camera.position.fromArray(position);
     this.settle();
   }
 
@@ -369,8 +364,16 @@ export class Space {
     this.size = [width, height];
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
     this.renderer.setSize(width, height, false);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    // The world is beside the goal's corner, where there is room for both.
+    const left = this.goal.length > 0 && width > 480 ? this.side() + 8 : 0;
+    this.camera.aspect = (width - left) / height;
+    this.camera.setViewOffset(width - left, height, -left, 0, width, height);
+  }
+
+  /** Returns the width and height of the goal's corner, pixels. */
+  side() {
+    const [width, height] = this.size;
+    return Math.round(Math.min(width * 0.3, height * 0.36));
   }
 
   render() {
@@ -389,7 +392,7 @@ export class Space {
     this.renderer.clear();
     this.renderer.render(this.scene, this.camera);
     if (this.goal.length === 0) return;
-    const side = Math.round(Math.min(width * 0.3, height * 0.36));
+    const side = this.side();
     const from = this.camera.position.clone().sub(target).setLength((this.reach / Math.sin((VIEW * Math.PI) / 360)) * 1.02);
     this.small.position.copy(this.middle).add(from);
     this.small.lookAt(this.middle);

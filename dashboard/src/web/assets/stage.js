@@ -1,11 +1,14 @@
-// Episodes on demand: the choice of blueprint, agent, action mode and start, and the gallery.
+// Episodes on demand: the choice of blueprint, agent, action mode and start.
 
-import { $, element } from "./format.js";
+import { address } from "./address.js";
+import { $, percent } from "./format.js";
+import { openGallery } from "./gallery.js";
 import { NO_ANSWER, answerAt, isCopy, model } from "./model.js";
 import { present } from "./replay.js";
+import { saveVideo } from "./share.js";
 
 /** @import { Replay } from "./replay.js" */
-/** @import { Agent, Blueprint, Episode } from "./types" */
+/** @import { Acting, Agent, Blueprint, Episode } from "./types" */
 
 /** Pause before the next episode starts automatically, milliseconds. */
 const REST_MS = 2500;
@@ -16,12 +19,17 @@ const IN_A_ROW = 10;
 /**
  * @typedef {object} Parts
  * @property {HTMLElement} choose opens the gallery
+ * @property {HTMLElement} previous
  * @property {HTMLElement} next
  * @property {HTMLElement} again
  * @property {HTMLElement} agent
+ * @property {HTMLInputElement} both whether the other builder is shown beside
  * @property {HTMLElement} mode
+ * @property {HTMLElement} success tells how often the policy builds structures of this size
  * @property {HTMLInputElement} onward whether the next blueprint follows by itself
  * @property {HTMLInputElement} keep whether it is built from what is left of the one before
+ * @property {HTMLElement} video saves a video
+ * @property {HTMLElement} shared tells what became of what was shared
  * @property {HTMLElement} note
  * @property {HTMLDialogElement} dialog the gallery
  */
@@ -31,6 +39,17 @@ const IN_A_ROW = 10;
  * @param {HTMLElement} choices
  */
 const picked = (choices) => /** @type {HTMLInputElement} */ (choices.querySelector("input:checked")).value;
+
+/**
+ * Selects a choice, if there is one with this value; `null` selects the first.
+ * @param {HTMLElement} choices
+ * @param {string | null} value
+ */
+function pick(choices, value) {
+  const all = /** @type {HTMLInputElement[]} */ ([...choices.querySelectorAll("input")]);
+  const one = value === null ? all[0] : all.find((input) => input.value === value);
+  if (one) one.checked = true;
+}
 
 export class Stage {
   /** @type {Blueprint[]} */
@@ -53,6 +72,11 @@ export class Stage {
    * @type {string[]}
    */
   before = [];
+  /**
+   * The order of the episode that the stage has shown, unless something else took its place.
+   * @type {string | null}
+   */
+  shown = null;
   /** Number of requests so far. */
   asked = 0;
   /**
@@ -68,6 +92,7 @@ export class Stage {
   constructor(replay, parts) {
     this.replay = replay;
     this.parts = parts;
+    this.parts.previous.addEventListener("click", () => this.go(-1));
     this.parts.next.addEventListener("click", () => this.go(1));
     this.parts.again.addEventListener("click", () => {
       this.seed += 1;
@@ -76,7 +101,9 @@ export class Stage {
       else this.go(1);
     });
     this.parts.choose.addEventListener("click", () => this.open());
+    this.parts.video.addEventListener("click", () => this.saveVideo());
     for (const choices of [this.parts.agent, this.parts.mode]) choices.addEventListener("change", () => this.build());
+    this.parts.dialog.addEventListener("close", () => address.set({ open: null }));
     this.parts.dialog.addEventListener("click", (event) => { if (event.target === this.parts.dialog) this.parts.dialog.close(); });
   }
 
@@ -98,23 +125,42 @@ export class Stage {
   /**
    * Starts the blueprint `by` places after the current one, in gallery order.
    * @param {number} by
+   * @param {boolean} [isNew] whether the user asked for it
    */
-  async go(by) {
+  async go(by, isNew = true) {
     if (!(await this.learn())) return;
     const all = this.only.length > 0 ? this.blueprints.filter(({ id }) => this.only.includes(id)) : this.blueprints;
     const at = all.findIndex(({ id }) => id === this.chosen);
-    this.start(all[(at + by + all.length) % all.length].id);
+    // Before the first one comes the last.
+    this.start(all[at < 0 && by < 0 ? all.length - 1 : (at + by + all.length) % all.length].id, isNew);
   }
 
   /**
    * Builds a blueprint.
    * @param {string} id
+   * @param {boolean} [isNew] whether the back button returns to the one before
    */
-  start(id) {
+  start(id, isNew = true) {
     const stays = this.parts.keep.checked && this.chosen && this.before.length + 1 < IN_A_ROW;
     this.before = stays ? [...this.before, this.chosen] : [];
     [this.chosen, this.drawn] = [id, null];
-    this.build();
+    this.build(isNew);
+  }
+
+  /** Builds what the address names. Returns false if it names nothing. */
+  restore() {
+    const id = address.get("blueprint");
+    if (id === null) return false;
+    pick(this.parts.agent, address.get("agent"));
+    pick(this.parts.mode, address.get("mode"));
+    this.parts.both.checked = address.get("both") === "1";
+    this.seed = Math.max(Number.parseInt(address.get("seed"), 10) || 0, 0);
+    this.before = (address.get("after") || "").split(",").filter(Boolean);
+    this.parts.keep.checked = this.before.length > 0;
+    [this.chosen, this.drawn] = [id, null];
+    if (this.order() === this.shown) this.replay.restore();
+    else this.perform();
+    return true;
   }
 
   /**
@@ -125,106 +171,149 @@ export class Stage {
    */
   startDrawn(file, title, agent) {
     [this.drawn, this.before, this.seed] = [{ file, title }, [], 0];
-    const choice = this.parts.agent.querySelector(`input[value="${agent}"]`);
-    /** @type {HTMLInputElement} */ (choice).checked = true;
+    pick(this.parts.agent, agent);
     this.build();
   }
 
-  /** Requests the episode with the selected options. */
-  request() {
+  /**
+   * Says how often the policy built structures of this size in the newest evaluation; empty if it had none.
+   * @param {number} size in blocks
+   */
+  success(size) {
+    const { blueprints, passes } = model.history;
+    const acting = /** @type {Acting} */ (picked(this.parts.mode));
+    const counts = passes.at(-1)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || [];
+    const [built, all] = [0, 1].map((k) => counts.reduce((sum, cell) => sum + cell[k], 0));
+    return all > 0 ? `The policy builds ${percent(built / all)} of those with ${size} blocks.` : "";
+  }
+
+  /** Returns what is to be built, and how, as text. */
+  order() {
+    return [this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, ...this.before].join();
+  }
+
+  /**
+   * Requests the episode with the selected options.
+   * @param {string} agent
+   */
+  request(agent) {
     const { signal } = this.gone;
-    if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${picked(this.parts.agent)}`), { signal });
-    const wishes = `agent=${picked(this.parts.agent)}&mode=${picked(this.parts.mode)}&seed=${this.seed}`;
-    if (this.drawn) return fetch(`${model.base}/api/play?${wishes}`, { method: "POST", body: this.drawn.file, signal });
+    if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${agent}`), { signal });
+    if (this.drawn) return fetch(`${model.base}/api/play?${this.wishes(agent)}`, { method: "POST", body: this.drawn.file, signal });
+    return fetch(`${model.base}/api/play?${this.wishes(agent)}`, { signal });
+  }
+
+  /**
+   * Returns the query that asks for the episode.
+   * @param {string} agent
+   */
+  wishes(agent) {
+    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}`;
+    if (this.drawn) return how;
     const after = this.before.length > 0 ? `&after=${this.before.map(encodeURIComponent).join(",")}` : "";
-    return fetch(`${model.base}/api/play?blueprint=${encodeURIComponent(this.chosen)}&${wishes}${after}`, { signal });
+    return `blueprint=${encodeURIComponent(this.chosen)}&${how}${after}`;
+  }
+
+  /** Saves the video of what is shown, if it has one. */
+  async saveVideo() {
+    const recording = address.get("recording");
+    const agent = picked(this.parts.agent);
+    if (recording !== null) await saveVideo(answerAt(model.base, "video", recording), `${recording}.mp4`, this.parts.shared);
+    else if (this.chosen && !this.drawn) await saveVideo(`${model.base}/api/play.mp4?${this.wishes(agent)}`, `${this.chosen}-${agent}.mp4`, this.parts.shared);
+    else this.parts.shared.textContent = "There is no video of a drawing. Save it as a file, and `lodestone play FILE` makes some.";
+  }
+
+  /**
+   * Builds what is chosen, from the start on, and puts it into the address.
+   * @param {boolean} [isNew] whether the back button returns to the episode before
+   */
+  build(isNew = true) {
+    if (!this.chosen && !this.drawn) return;
+    const [agent, mode] = [picked(this.parts.agent), picked(this.parts.mode)];
+    address.set({
+      blueprint: this.drawn ? null : this.chosen, agent: agent === "policy" ? null : agent, mode: mode === "greedy" ? null : mode,
+      both: this.parts.both.checked ? 1 : null,
+      seed: this.seed || null, after: this.before.join(","), recording: null, step: null,
+    }, isNew);
+    this.replay.leave();
+    this.perform();
   }
 
   /** Requests the episode and plays it, unless another one has been requested in the meantime. */
-  async build() {
-    if (!this.chosen && !this.drawn) return;
+  async perform() {
     if (model.gone) {
       this.parts.note.textContent = model.gone;
       return;
     }
     this.asked += 1;
     const mine = this.asked;
+    this.shown = null;
     const isWanted = () => mine === this.asked;
-    const who = picked(this.parts.agent) === "expert" ? "The expert" : "The policy";
-    this.parts.note.textContent = `${who} builds ${this.drawn ? this.drawn.title : this.chosen} …`;
-    this.replay.prepare();
+    const agent = picked(this.parts.agent);
+    const both = this.parts.both.checked;
+    const who = both ? "The policy and the expert build" : `The ${agent} builds`;
+    this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : this.chosen} …`;
+    this.replay.prepare(both ? 2 : 1);
     if (this.gone) this.gone.abort();
     this.gone = new AbortController();
+    /** @type {Episode[]} */
+    const episodes = [];
+    for (const one of both ? ["policy", "expert"] : [agent]) {
+      const episode = await this.episode(one, isWanted);
+      if (!episode) return;
+      episodes.push(episode);
+    }
+    const [{ actor, weights_version: version, blueprint, title, goal }] = episodes;
+    const weights = actor === "expert" ? "" : ` with weights ${version}`;
+    const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
+    // The user may have renamed the drawing since the file was checked.
+    this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : title} (${blueprint}), start ${this.seed + 1}${nth}${weights}`;
+    this.shown = this.drawn ? null : this.order();
+    this.parts.success.textContent = this.success(goal.length);
+    await present(this.replay, episodes, () => {
+      if (this.parts.onward.checked && !this.drawn) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1, false); }, REST_MS);
+    });
+  }
+
+  /**
+   * Requests the episode of an agent until there is one. Returns `null` if it is no longer wanted or, with a note, if it
+   * fails.
+   * @param {string} agent
+   * @param {() => boolean} isWanted
+   * @returns {Promise<Episode | null>}
+   */
+  async episode(agent, isWanted) {
     for (;;) {
       /** @type {Response} */
       let answer;
       try {
-        answer = await this.request();
+        answer = await this.request(agent);
       } catch {
         if (isWanted()) this.parts.note.textContent = NO_ANSWER;
-        return;
+        return null;
       }
-      if (!isWanted()) return;
-      if (answer.status === 503) {
-        this.parts.note.textContent = "Waiting for the first weights …";
-        await new Promise((done) => setTimeout(done, 1000));
-        if (!isWanted()) return;
-        continue;
+      if (answer.ok) {
+        const episode = await answer.json();
+        return isWanted() ? episode : null;
       }
-      if (!answer.ok) {
+      if (!isWanted()) return null;
+      if (answer.status !== 503) {
         this.parts.note.textContent = await answer.text();
-        return;
+        return null;
       }
-      /** @type {Episode} */
-      const episode = await answer.json();
-      if (!isWanted()) return;
-      const weights = episode.actor === "expert" ? "" : ` with weights ${episode.weights_version}`;
-      // The user may have renamed the drawing since the file was checked.
-      const title = this.drawn ? this.drawn.title : episode.title;
-      const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
-      this.parts.note.textContent = `${who} builds ${title} (${episode.blueprint}), start ${this.seed + 1}${nth}${weights}`;
-      await present(this.replay, episode, () => {
-        if (this.parts.onward.checked && !this.drawn) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1); }, REST_MS);
-      });
-      return;
+      this.parts.note.textContent = "Waiting for the first weights …";
+      await new Promise((done) => setTimeout(done, 1000));
+      if (!isWanted()) return null;
     }
   }
 
-  /** Opens the gallery. Pictures load when they come into view. */
+  /** Opens the gallery. */
   async open() {
-    if (!(await this.learn())) return;
-    const find = element("input", { type: "search", placeholder: "Name or number", "aria-label": "Search the gallery" });
-    const close = element("button", { type: "button" }, "Close");
-    close.addEventListener("click", () => this.parts.dialog.close());
-    const list = element("div", { class: "gallery" });
-    const draw = () => {
-      const words = find.value.trim().toLowerCase();
-      const shown = this.blueprints.filter(({ id, title }) => `${id} ${title}`.toLowerCase().includes(words));
-      /** @type {HTMLElement[]} */
-      const parts = [];
-      /** @type {string | null | undefined} */
-      let group;
-      for (const one of shown) {
-        if (one.group !== group) {
-          group = one.group;
-          parts.push(element("h3", {}, group || "other"));
-        }
-        const picture = element("img", { src: answerAt("", "picture", one.id), alt: "", loading: "lazy", width: "200", height: "150" });
-        const tile = element("button", { type: "button", "aria-pressed": String(one.id === this.chosen) }, picture,
-          element("b", {}, one.title), element("span", { class: "quiet" }, `${one.id}, ${one.n_blocks} blocks`));
-        tile.addEventListener("click", () => {
-          this.parts.dialog.close();
-          if (!this.parts.keep.checked) this.seed = 0;
-          this.start(one.id);
-          $("replay-title").scrollIntoView();
-        });
-        parts.push(tile);
-      }
-      list.replaceChildren(...(parts.length > 0 ? parts : [element("p", { class: "empty" }, "No blueprint matches.")]));
-    };
-    find.addEventListener("input", draw);
-    this.parts.dialog.replaceChildren(element("div", { class: "bar" }, element("h2", {}, "Blueprints"), find, close), list);
-    draw();
-    this.parts.dialog.showModal();
+    if (!(await this.learn()) || this.parts.dialog.open) return;
+    openGallery(this.parts.dialog, this.blueprints, this.chosen, (id) => {
+      if (!this.parts.keep.checked) this.seed = 0;
+      this.start(id);
+      $("replay-title").scrollIntoView();
+    });
   }
 }

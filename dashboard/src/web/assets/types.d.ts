@@ -176,6 +176,8 @@ export interface Scene {
   held: (number | null)[];
   goal_frame: Pose;
   n_connected: number;
+  /** Connected blocks, the lower number first, and whether the goal connects them like this. */
+  joints: [number, number, boolean][];
   /** Undiscounted reward so far. */
   reward: number;
   reward_terms: Record<"connected" | "wrong" | "magnets" | "blocks" | "force", number>;
@@ -192,11 +194,15 @@ export interface Episode {
   step_s: number;
   /** Edge of a cell, meters. */
   unit_m: number;
+  /** Of the blocks. */
+  names: string[];
   half_extents_m: Vector[];
   colors: Rgb[];
   gripper_colors: Rgb[];
   /** The goal's blocks, each with its pose in the goal's frame. */
   goal: [number, Pose][];
+  /** The pairs that the goal connects, the lower number first. */
+  links: [number, number][];
   scenes: Scene[];
   attention: Attended | null;
 }
@@ -258,6 +264,7 @@ export interface Hit {
 
 /** The ids in page.html of elements with more properties than others. */
 interface Elements {
+  "beside": HTMLCanvasElement;
   "draw-canvas": HTMLCanvasElement;
   "draw-copy": HTMLButtonElement;
   "draw-expert": HTMLButtonElement;
@@ -281,6 +288,7 @@ interface Elements {
   "replay-slider": HTMLInputElement;
   "replay-speed": HTMLSelectElement;
   "roster": HTMLTableElement;
+  "stage-both": HTMLInputElement;
   "stage-keep": HTMLInputElement;
   "stage-onward": HTMLInputElement;
 }

@@ -1,0 +1,58 @@
+// Sharing of what is shown: its address, its picture, and its video.
+
+import { address } from "./address.js";
+import { element } from "./format.js";
+import { NO_ANSWER } from "./model.js";
+
+/** @import { Replay } from "./replay.js" */
+
+/**
+ * Offers a file to save.
+ * @param {Blob} content
+ * @param {string} name of the file
+ */
+export function save(content, name) {
+  const url = URL.createObjectURL(content);
+  element("a", { href: url, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 10000);
+}
+
+/**
+ * Copies the page's address to the clipboard, or else says it.
+ * @param {HTMLElement} say
+ */
+export async function copyLink(say) {
+  const link = address.link();
+  try {
+    await navigator.clipboard.writeText(link);
+    say.textContent = "Copied.";
+  } catch {
+    // Without encryption, a browser gives the clipboard to pages of its own machine only.
+    say.replaceChildren(element("code", {}, link));
+  }
+}
+
+/**
+ * Saves the picture of the shown moment.
+ * @param {Replay} replay
+ */
+export function savePicture({ episode, time, parts }) {
+  parts.main.canvas.toBlob((picture) => { if (picture) save(picture, `${episode.blueprint}-${episode.actor}-step-${Math.floor(time)}.png`); });
+}
+
+/**
+ * Saves a video that the server makes, which takes a moment.
+ * @param {string} url
+ * @param {string} name of the file
+ * @param {HTMLElement} say
+ */
+export async function saveVideo(url, name, say) {
+  say.textContent = "Making the video …";
+  try {
+    const answer = await fetch(url);
+    say.textContent = answer.ok ? "" : await answer.text();
+    if (answer.ok) save(await answer.blob(), name);
+  } catch {
+    say.textContent = NO_ANSWER;
+  }
+}

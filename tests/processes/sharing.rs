@@ -1,0 +1,125 @@
+//! The page for everyone: a link shows what its sender saw, the keyboard alone suffices, and axe-core finds no serious
+//! fault.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+
+use crate::support::played::{errors, played};
+
+/// Keys, as private-use code points of the WebDriver protocol.
+const TAB: &str = "\u{e004}";
+const ENTER: &str = "\u{e007}";
+const RIGHT: &str = "\u{e014}";
+
+#[test]
+fn a_link_shows_the_same_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["2_000", "2_001"]) else { return };
+    let shows =
+        |id: &str, step: f64| browser.until(&format!("replay.episode?.blueprint === '{id}' && replay.time === {step}"));
+    let address = || browser.run("return location.href").as_str().unwrap().to_owned();
+    let picture = || browser.run("return document.querySelector('#replay').toDataURL()");
+    browser.until("replay.episode?.blueprint === '2_000'");
+    let here = address();
+    let link = format!("{}?blueprint=2_001&agent=expert&seed=3&step=4", &here[..=here.rfind('/').unwrap()]);
+    browser.open(&link);
+    shows("2_001", 4.0);
+    assert!(browser.text("#replay-note").starts_with("The expert builds step (2_001), start 4"));
+    // A turned camera, a step and a hidden goal come back with the address.
+    browser.element("#replay").press(&format!("{RIGHT}++."));
+    browser.element("#replay-ghost").click();
+    browser.until("location.search.includes('camera=') && location.search.includes('step=5')");
+    browser.until("location.search.includes('goal=hidden')");
+    let (turned, seen) = (address(), picture());
+    browser.open("about:blank");
+    browser.open(&turned);
+    shows("2_001", 5.0);
+    assert_eq!(picture(), seen);
+    // The back button leads to the episode before, from which it started.
+    browser.element("#stage-previous").click();
+    browser.until("replay.episode.blueprint === '2_000' && location.search.includes('blueprint=2_000')");
+    browser.run("setTimeout(() => history.back())");
+    shows("2_001", 5.0);
+    assert_eq!((address(), picture()), (turned, seen));
+    // The server makes a video of the same episode.
+    let video = "const answer = await fetch('/api/play.mp4?blueprint=2_001&agent=expert&seed=3');
+        return [answer.headers.get('content-type'), new TextDecoder().decode((await answer.arrayBuffer()).slice(4, 8))]";
+    assert_eq!(browser.run(video), json!(["video/mp4", "ftyp"]));
+    // The policy and the expert build in step.
+    browser.element("#stage-both").click();
+    browser.until("replay.views.map(({ episode }) => episode.actor).join() === 'policy,expert'");
+    browser.until("!replay.playing && location.search.includes('both=1')");
+    assert!(browser.text("#beside-verdict").starts_with("Built: 1 of 1 connection in "));
+    browser.element("#stage-choose").click();
+    browser.until("location.search.includes('open=gallery')");
+    browser.run("setTimeout(() => history.back())");
+    browser.until("!document.querySelector('#gallery').open");
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn the_keyboard_alone_chooses_steps_and_draws() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["2_000"]) else { return };
+    let reach = |selector: &str| {
+        let is_there = format!("return document.activeElement.matches({selector:?})");
+        let found = (0..80).any(|_| {
+            browser.keys(TAB);
+            browser.run(&is_there) == true
+        });
+        assert!(found, "no number of tabs leads to {selector}");
+    };
+    browser.until("Boolean(replay.episode)");
+    reach("#stage-choose");
+    browser.keys(ENTER);
+    browser.until("document.querySelectorAll('#gallery button img').length > 1");
+    browser.keys("16_002");
+    browser.until("document.querySelectorAll('#gallery button img').length === 1");
+    reach("#gallery .gallery button");
+    browser.keys(ENTER);
+    browser.until("replay.episode.blueprint === '16_002'");
+    reach("#replay");
+    browser.run("replay.play(false); replay.seek(0)");
+    browser.keys("..,");
+    assert_eq!(browser.run("return replay.time"), 1);
+    browser.keys(" ");
+    browser.until("replay.time > 1");
+    reach("#draw-open");
+    browser.keys(ENTER);
+    browser.until("document.querySelector('#draw-palette [data-type=\"1x1x1\"]')");
+    reach("#draw-palette [data-type='1x1x1']");
+    // The canvas has the focus once a block is chosen.
+    browser.keys(&format!("{ENTER}{ENTER}"));
+    browser.until("editor.blocks.length === 1");
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+/// The serious faults that axe-core finds on the page.
+const FAULTS: &str = "
+    const { violations } = await axe.run(document, { resultTypes: ['violations'] });
+    const serious = violations.filter(({ impact }) => impact === 'serious' || impact === 'critical');
+    return serious.flatMap(({ help, nodes }) => nodes.map(({ html }) => `${help}: ${html}`));
+";
+
+#[test]
+fn the_page_has_no_serious_fault_for_anyone() {
+    let axe = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/page/node_modules/axe-core/axe.min.js");
+    let Ok(axe) = std::fs::read_to_string(axe) else {
+        eprintln!("`.ci/run page` has not installed axe-core, so it did not look at the page");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["2_000"]) else { return };
+    browser.until("!document.querySelector('#replay-player').hidden");
+    browser.element("#draw-open").click();
+    browser.until("document.querySelector('#draw-palette button')");
+    for scheme in ["light", "dark"] {
+        let media = json!({ "features": [{ "name": "prefers-color-scheme", "value": scheme }] });
+        browser.devtools("Emulation.setEmulatedMedia", &media);
+        assert_eq!(browser.run(&format!("{axe}\n;{FAULTS}")), json!([]), "{scheme}");
+    }
+    browser.element("#stage-choose").click();
+    browser.until("document.querySelector('#gallery img')");
+    assert_eq!(browser.run(FAULTS), json!([]));
+}
