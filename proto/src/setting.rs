@@ -26,35 +26,16 @@
 //! assert_eq!(error, "inbox.walk.speed_mps = NaN: expected above 0 and at most 10");
 //! ```
 
-use std::fmt::{Debug, Display};
-use std::ops::{Bound, RangeBounds};
+use std::fmt::Debug;
 
 use serde::Serialize;
 use serde_json::Value;
 
+mod range;
 pub mod schema;
 
+pub use self::range::{InvalidSetting, Number, Setting, above, above_to};
 use self::schema::Schema;
-
-/// A setting outside its range. The message names the key including its sections, the value, and what is valid.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct InvalidSetting(String);
-
-impl InvalidSetting {
-    /// An error with a message of its own, for rules that need advice.
-    pub fn new(message: impl Into<String>) -> Self {
-        Self(message.into())
-    }
-
-    /// Returns an error that names the key, for example `actor.n_threads`, if `ok` is false. NaN must make `ok` false.
-    ///
-    /// # Errors
-    /// If `ok` is false.
-    pub fn check(key: impl Display, value: impl Display, ok: bool, expected: impl Display) -> Result<(), Self> {
-        if ok { Ok(()) } else { Err(Self(format!("{key} = {value}: expected {expected}"))) }
-    }
-}
 
 /// A part of the configuration with its own keys. [`settings!`](crate::settings) implements this trait.
 pub trait Section {
@@ -81,98 +62,6 @@ impl<T: Section> Section for Option<T> {
 
     fn validate_at(&self, path: &str) -> Result<(), InvalidSetting> {
         self.as_ref().map_or(Ok(()), |section| section.validate_at(path))
-    }
-}
-
-/// A value with a range: a number, or a collection of numbers that share the range.
-pub trait Setting {
-    /// The type of the range's bounds.
-    type Number: Number;
-
-    /// Checks every number in the value.
-    ///
-    /// # Errors
-    /// Returns the first number that is infinite or outside the range.
-    fn check_in(&self, key: &str, range: &impl RangeBounds<Self::Number>) -> Result<(), InvalidSetting>;
-}
-
-/// An integer or floating-point number.
-pub trait Number: Copy + PartialOrd + Display {
-    /// Returns whether the number is neither infinite nor NaN.
-    fn is_finite(self) -> bool;
-}
-
-macro_rules! numbers {
-    ($($number:ty: $is_finite:expr;)*) => {$(
-        impl Number for $number {
-            fn is_finite(self) -> bool {
-                let is_finite: fn(Self) -> bool = $is_finite;
-                is_finite(self)
-            }
-        }
-
-        impl Setting for $number {
-            type Number = Self;
-
-            fn check_in(&self, key: &str, range: &impl RangeBounds<Self>) -> Result<(), InvalidSetting> {
-                InvalidSetting::check(key, self, range.contains(self) && Number::is_finite(*self), expected(range))
-            }
-        }
-    )*};
-}
-
-numbers! {
-    u8: |_| true;
-    u16: |_| true;
-    u32: |_| true;
-    u64: |_| true;
-    usize: |_| true;
-    i32: |_| true;
-    f32: f32::is_finite;
-    f64: f64::is_finite;
-}
-
-macro_rules! collections {
-    ($([$($generics:tt)*] $collection:ty;)*) => {$(
-        impl<T: Setting, $($generics)*> Setting for $collection {
-            type Number = T::Number;
-
-            fn check_in(&self, key: &str, range: &impl RangeBounds<T::Number>) -> Result<(), InvalidSetting> {
-                self.iter().try_for_each(|value| value.check_in(key, range))
-            }
-        }
-    )*};
-}
-
-collections! {
-    [] Option<T>;
-    [] Vec<T>;
-    [const N: usize] [T; N];
-}
-
-/// Returns the range of all numbers above `low`.
-pub fn above<T>(low: T) -> (Bound<T>, Bound<T>) {
-    (Bound::Excluded(low), Bound::Unbounded)
-}
-
-/// Returns the range of all numbers above `low`, up to and including `high`.
-pub fn above_to<T>(low: T, high: T) -> (Bound<T>, Bound<T>) {
-    (Bound::Excluded(low), Bound::Included(high))
-}
-
-/// Describes a range for error messages.
-fn expected<T: Number>(range: &impl RangeBounds<T>) -> String {
-    let low = match range.start_bound() {
-        Bound::Included(low) => format!("at least {low}"),
-        Bound::Excluded(low) => format!("above {low}"),
-        Bound::Unbounded => "any number".to_owned(),
-    };
-    match (range.start_bound(), range.end_bound()) {
-        (Bound::Included(low), Bound::Included(high)) => format!("{low}..={high}"),
-        (_, Bound::Included(high)) => format!("{low} and at most {high}"),
-        (_, Bound::Excluded(high)) => format!("{low} and below {high}"),
-        (Bound::Excluded(_), Bound::Unbounded) => format!("{low} and finite"),
-        (_, Bound::Unbounded) => low,
     }
 }
 
@@ -465,7 +354,5 @@ mod tests {
         assert_eq!(shown(&ids), r#"["2_000", "2_001"]"#);
         assert_eq!([shown(&0.1_f32), shown(&f32::NAN), shown(&"a")], ["0.1", "NaN", "\"a\""]);
         assert_eq!(Outer { choice: Choice::None(Empty {}), ..Default::default() }.validate_at("outer"), Ok(()));
-        let ranges = [expected(&above_to(0.0, 1.0)), expected(&(..7)), expected::<u8>(&(..))];
-        assert_eq!(ranges, ["above 0 and at most 1", "any number and below 7", "any number"]);
     }
 }

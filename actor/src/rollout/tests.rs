@@ -71,10 +71,9 @@ fn a_warm_start_counts_but_is_not_learned_from() {
 }
 
 #[test]
-fn segments_are_numbered_across_worlds() {
+fn segments_come_in_the_order_of_the_worlds() {
     let script = [Status::Running];
     let segments = run(&mut rollout(&[&script, &script], 1), 6);
-    assert_eq!(segments.iter().map(|segment| segment.seq).collect::<Vec<_>>(), [0, 1, 2, 3]);
     assert_eq!(segments.iter().map(|segment| segment.first_step).collect::<Vec<_>>(), [0, 0, 3, 3]);
 }
 
@@ -115,20 +114,18 @@ fn the_same_seed_gives_the_same_segments() {
 }
 
 #[test]
-fn a_restart_equals_a_fresh_rollout_but_for_the_numbers() {
+fn a_restart_equals_a_fresh_rollout() {
     let scripts: [&[Status]; 2] = [&[Status::Running, Status::TimeLimit], &[Status::Success]];
     let mut used = rollout(&scripts, 1);
     run(&mut used, 2);
     used.restart(9).unwrap();
-    let n_before = used.counters().n_segments;
-    let mut again = run(&mut used, 2);
-    again.iter_mut().for_each(|segment| segment.seq -= n_before);
+    let again = run(&mut used, 2);
     let actions = |segments: &[Trajectory]| -> Vec<_> {
         segments.iter().flat_map(|s| &s.transitions).map(|t| t.action.choices).collect()
     };
     let fresh = run(&mut rollout(&scripts, 9), 2);
     assert_eq!(actions(&again), actions(&fresh));
-    let tasks = |segments: &[Trajectory]| segments.iter().map(|s| (s.seq, s.task.clone())).collect::<Vec<_>>();
+    let tasks = |segments: &[Trajectory]| segments.iter().map(|s| s.task.clone()).collect::<Vec<_>>();
     assert_eq!(tasks(&again), tasks(&fresh));
 }
 

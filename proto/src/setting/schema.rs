@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value, json};
 
-use super::Setting;
+use super::range::Setting;
 
 /// A JSON Schema.
 pub type Schema = Value;

@@ -10,7 +10,7 @@ use super::axes::{self, Axis};
 use crate::cli::{ConfigArgs, SweepArgs};
 use crate::commands::files::write_files;
 use crate::commands::services;
-use crate::config::{Config, MAX_SEED, Override};
+use crate::config::{Config, ConfigError, MAX_SEED, Override};
 use crate::exit::Failure;
 
 /// Name of the plan in the folder of a sweep.
@@ -200,7 +200,11 @@ fn planned(settings: axes::Point, args: &SweepArgs) -> Result<PlannedPoint, Fail
     }
     let mut point = PlannedPoint { settings, config: String::new() };
     let named = |error: Failure| Failure::Usage(format!("point {}: {error}", point.name()));
-    let config = of_point.load(None, flags(args)).map_err(|error| named(error.into()))?.config;
+    let loaded = of_point.load(None, flags(args)).map_err(|error| match error {
+        ConfigError::Invalid { .. } => named(error.into()),
+        error => error.into(),
+    });
+    let config = loaded?.config;
     services::check_evaluator(&config, Catalog::builtin()).map_err(named)?;
     point.config = config.to_toml();
     Ok(point)
