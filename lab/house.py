@@ -32,8 +32,8 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so; the last were scenes and ONNX for Python, and what finds settings and runs.
 CEILINGS = {
-    "lines of Rust outside lab/": 77_000,
-    "of it without tests and comments": 40_250,
+    "lines of Rust outside lab/": 77_100,
+    "of it without tests and comments": 40_350,
     "settings": 115,
     "commands": 18,
     "direct dependencies": 54,
