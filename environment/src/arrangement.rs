@@ -9,7 +9,6 @@ use crate::connections::{block_array, relative_along};
 use crate::convert::from_pose;
 use crate::magnets::{Frame, MagnetPair, MagnetTable};
 use crate::reset::Layout;
-use crate::world::RUNAWAY_M;
 
 /// Maximum depth of an overlap with another block and with the ground, m. Blocks that are driven into each other at full
 /// speed overlap by 5.5 cm for a moment, and with the ground by 7.8 cm.
@@ -21,6 +20,11 @@ const MAX_GAP_M: f32 = 0.045;
 const MAX_ANGLE_DEG: f32 = 40.0;
 /// Maximum deviation of a quaternion's length from 1.
 const MAX_STRETCH: f32 = 0.01;
+
+/// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m. It exceeds the distance
+/// that a gripper can carry a block along one axis in an episode (3 m/s for 10 s). Episodes in which the agent flies off
+/// with its blocks must stay in the data, or it never learns not to.
+pub(crate) const RUNAWAY_M: f32 = 40.0;
 
 /// Where blocks lie at rest, and which of them are connected.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::arrangement::{Arrangement, ArrangementError};
+use crate::arrangement::{Arrangement, ArrangementError, RUNAWAY_M};
 use crate::config::{EnvironmentConfig, PhysicsConfig};
 use crate::connections::{Connections, block_array};
 use crate::convert::to_pose;
@@ -27,11 +27,6 @@ pub const CONTROL_DT_S: f32 = SUBSTEP_S * N_SUBSTEPS as f32;
 /// Maximum number of substeps computed as one, while the solver handles no awake structure of three or more blocks.
 /// Larger structures sag unless substeps are short.
 const MAX_MERGED: u8 = 2;
-
-/// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m. It exceeds the distance
-/// that a gripper can carry a block along one axis in an episode (3 m/s for 10 s). Episodes in which the agent flies off
-/// with its blocks must stay in the data, or it never learns not to.
-pub(crate) const RUNAWAY_M: f32 = 40.0;
 
 /// Force above which a contact is heavy, in weights of a unit cube.
 const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
