@@ -18,17 +18,17 @@ impl Model {
     ///
     /// | input | shape | meaning |
     /// |---|---|---|
-    /// | nodes, edges, globals | [B, 16, nd], [B, 240, ed], [B, gd] | the features |
-    /// | relations, offered | [B, 16, 16, 8], [B, 16, 33] bool | mixture head: the proposals |
-    /// | first | [B, 2] int64 | mixture head of two grippers: block and slot that the first one drew |
+    /// | nodes, edges, globals | `[B, 16, nd]`, `[B, 240, ed]`, `[B, gd]` | the features |
+    /// | relations, offered | `[B, 16, 16, 8]`, `[B, 16, 33] bool` | mixture head: the proposals |
+    /// | first | `[B, 2] int64` | mixture head of two grippers: block and slot that the first one drew |
     ///
     /// | output | shape | meaning |
     /// |---|---|---|
-    /// | logits | [B, grippers, 16] | each gripper's choice of a block, without a mask |
-    /// | values | [B] | expected returns |
-    /// | locs, scales | [B, 16, 6] | Gaussian head: the moves |
-    /// | first_slots | [B, 16, 33] | mixture head: the first gripper's slots, for each block |
-    /// | second_blocks, second_slots | [B, 16], [B, 16, 33] | mixture head of two grippers: the second's, after `first` |
+    /// | logits | `[B, grippers, 16]` | each gripper's choice of a block, without a mask |
+    /// | values | `[B]` | expected returns |
+    /// | locs, scales | `[B, 16, 6]` | Gaussian head: the moves |
+    /// | first_slots | `[B, 16, 33]` | mixture head: the first gripper's slots, for each block |
+    /// | second_blocks, second_slots | `[B, 16]`, `[B, 16, 33]` | mixture head of two grippers: the second's, after `first` |
     ///
     /// # Errors
     /// Returns an error if the encoder is the flat one.
