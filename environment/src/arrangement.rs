@@ -51,7 +51,7 @@ pub enum ArrangementError {
     Orientation {
         /// The block.
         block: u8,
-        /// Its orientation.
+        /// Its orientation, a quaternion x, y, z, w.
         orientation: [f32; 4],
     },
     /// Below the ground.
@@ -65,9 +65,9 @@ pub enum ArrangementError {
     /// Two blocks in one place.
     #[error("blocks {a} and {b} overlap by {depth_m} m: expected at most {MAX_OVERLAP_M}")]
     Overlap {
-        /// The lower block.
+        /// The block with the lower index.
         a: u8,
-        /// The higher block.
+        /// The block with the higher index.
         b: u8,
         /// Depth of the overlap, m.
         depth_m: f32,
@@ -86,9 +86,9 @@ pub enum ArrangementError {
     /// A connection that is given twice, or in another way than others give it.
     #[error("the connection of blocks {a} and {b} repeats or contradicts the connections before it")]
     Contradiction {
-        /// The lower block.
+        /// The block with the lower index.
         a: u8,
-        /// The higher block.
+        /// The block with the higher index.
         b: u8,
     },
 }

@@ -63,6 +63,15 @@ pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     trajectories
 }
 
+/// Learns at a constant rate.
+pub(super) fn fix_rate(setup: &mut LearnerSetup, learning_rate: f32) {
+    let fixed = |config: &mut LearnerConfig| {
+        config.optimizer.learning_rate = learning_rate;
+        config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+    };
+    setup.config = setup.config.with(fixed).unwrap();
+}
+
 pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
     trajectories.into_iter().for_each(|t| learner.ingest(t).unwrap());
 }
@@ -70,13 +79,7 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
 #[test]
 fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
-    setup.config = setup
-        .config
-        .with(|c| {
-            c.optimizer.learning_rate = 3e-3;
-            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-        })
-        .unwrap();
+    fix_rate(&mut setup, 3e-3);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut rates = Vec::new();
@@ -143,13 +146,7 @@ fn weights_are_independent_of_the_number_of_threads() {
 #[test]
 fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     let mut setup = small_setup(1);
-    setup.config = setup
-        .config
-        .with(|c| {
-            c.optimizer.learning_rate = 3e-3;
-            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-        })
-        .unwrap();
+    fix_rate(&mut setup, 3e-3);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();
@@ -224,13 +221,7 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
     // The first step overflows the network's outputs, or the parameters themselves.
     for learning_rate in [1e5, 1e38] {
         let mut setup = small_setup(1);
-        setup.config = setup
-            .config
-            .with(|c| {
-                c.optimizer.learning_rate = learning_rate;
-                c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-            })
-            .unwrap();
+        fix_rate(&mut setup, learning_rate);
         let mut learner = Learner::new(setup.clone()).unwrap();
         let first = learner.weights();
         let mut rng = ChaCha8Rng::seed_from_u64(2);

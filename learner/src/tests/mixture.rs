@@ -11,8 +11,7 @@ use proto::{ActionMode, Agent, Joint, Observation, Refusal, Status};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::learning::{bandit, feed, small_setup};
-use crate::config::{FixedRate, LrSchedule};
+use super::learning::{bandit, feed, fix_rate, small_setup};
 use crate::{Learner, LearnerSetup, Model};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
@@ -24,13 +23,7 @@ pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
 #[test]
 fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
     let mut setup = mixture_setup(1);
-    setup.config = setup
-        .config
-        .with(|c| {
-            c.optimizer.learning_rate = 1e-2;
-            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-        })
-        .unwrap();
+    fix_rate(&mut setup, 1e-2);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let is_join = |slot: u8| Slot::from_index(slot).unwrap().kind() == Kind::Join;

@@ -8,8 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::learning::{bandit, small_setup};
-use crate::config::{FixedRate, LrSchedule};
+use super::learning::{bandit, fix_rate, small_setup};
 use crate::fixtures::Made;
 use crate::{Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Summary, run};
 use runlog::RunPaths;
@@ -168,13 +167,7 @@ async fn training_that_diverges_stops_and_keeps_usable_weights() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let run_dir = RunPaths::new(dir.path().join("run"));
     let mut setup = small_setup(5);
-    setup.config = setup
-        .config
-        .with(|c| {
-            c.optimizer.learning_rate = 1e5;
-            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-        })
-        .unwrap();
+    fix_rate(&mut setup, 1e5);
     setup.config = setup.config.with(|c| c.checkpoints.every_updates = 1).unwrap();
     let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(1));
     let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 256, &mut rng)));

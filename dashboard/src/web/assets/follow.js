@@ -4,7 +4,7 @@ import { apart3, placed } from "./solid.js";
 
 /** @import { Box, Episode, Scene, Vector } from "./types" */
 
-/** Loose blocks farther than this (meters) from the middle of the goal's blocks may be out of view, as in clips. */
+/** Loose blocks farther than this (meters) from the middle of the goal's blocks may be out of view, as in videos. */
 const REACH_M = 1.6;
 
 /** Blocks farther than this from the origin have fallen off the world, meters. */
