@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 
-use super::{Config, ConfigError, NO_BASE, Preset};
+use super::{Config, ConfigError, NO_BASE, Preset, shorten};
 
 /// Settings that are variables without a section.
 pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
@@ -175,6 +175,21 @@ impl Config {
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
         merge(text, origin, Base::Defaults, &[])
     }
+
+    /// A file of the keys that differ from those of `base`; the whole tree, if keys of the base are absent here.
+    ///
+    /// # Errors
+    /// Never for the bases of this program.
+    ///
+    /// # Panics
+    /// As [`Self::to_toml`].
+    pub fn changes(&self, base: Base) -> Result<String, ConfigError> {
+        let before = merge("", "", base, &[])?.to_table();
+        let mut changed = toml::Value::Table(changed(&before, self.to_table()));
+        shorten(&mut changed);
+        let text = format!("base = \"{}\"\n{}", base.name(), toml::to_string(&changed).expect("a table is TOML"));
+        Ok(if Self::parse(&text, "")? == *self { text } else { self.to_toml() })
+    }
 }
 
 /// Applies `overrides` in their order to the file `text`, and the file to the base that it names, or else to `base`.
@@ -226,7 +241,7 @@ fn put_over(table: &mut toml::Table, keys: toml::Table) {
 }
 
 /// The keys of `now` that [`put_over`] has to put over `before` to get `now`.
-pub(super) fn changed(before: &toml::Table, now: toml::Table) -> toml::Table {
+fn changed(before: &toml::Table, now: toml::Table) -> toml::Table {
     let mut changes = toml::Table::new();
     for (key, value) in now {
         match (before.get(&key), value) {

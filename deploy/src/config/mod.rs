@@ -90,21 +90,6 @@ impl Config {
         format!("base = \"{NO_BASE}\"\n{}", toml::to_string(&table).expect("a table is TOML"))
     }
 
-    /// A file of the keys that differ from those of `base`; the whole tree, if keys of the base are absent here.
-    ///
-    /// # Errors
-    /// Never for the bases of this program.
-    ///
-    /// # Panics
-    /// As [`Self::to_toml`].
-    pub fn changes(&self, base: Base) -> Result<String, ConfigError> {
-        let before = merge("", "", base, &[])?.to_table();
-        let mut changed = toml::Value::Table(layers::changed(&before, self.to_table()));
-        shorten(&mut changed);
-        let text = format!("base = \"{}\"\n{}", base.name(), toml::to_string(&changed).expect("a table is TOML"));
-        Ok(if Self::parse(&text, "")? == *self { text } else { self.to_toml() })
-    }
-
     fn to_table(&self) -> toml::Table {
         toml::Table::try_from(self).expect("every section consists of what TOML can express")
     }
