@@ -178,7 +178,8 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     let terms = scrub(n_steps);
     assert!((terms[0] - terms[1..].iter().sum::<f64>()).abs() < 0.05, "{terms:?}");
     assert!(browser.text("#replay-text").contains(&format!("reward {:.2}", terms[0])));
-    assert_eq!(browser.run("return document.querySelectorAll('#replay-terms polyline').length"), 6);
+    browser.until("document.querySelector('#replay-terms canvas')");
+    assert_eq!(browser.run("return document.querySelectorAll('#replay-values .dot').length"), 6);
     assert_eq!(scrub(0), [0.0; 6]);
 
     // Zoom out first, because an untrained policy throws blocks out of the picture.
@@ -466,7 +467,7 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");
     let named = browser.elements(
-        "main section, main button, main input, canvas[tabindex]:not([hidden] *), main svg[role=img], .scroll",
+        "main section, main button, main input, main [role=img]:not([hidden] *), .scroll",
     );
     assert!(named.len() > 20, "{}", named.len());
     for element in named {

@@ -7,6 +7,8 @@ use render::picture::GRIPPER_COLORS;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::routes::base;
+
 /// The kind of page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -61,7 +63,6 @@ impl About {
 
 /// Returns the response to `/api/about`; `runs` are the names of all runs of the page.
 pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
-    let base = |place: usize| if place == 0 { String::new() } else { format!("/runs/{place}") };
     let runs: Vec<Value> =
         runs.iter().enumerate().map(|(place, name)| json!({ "name": name, "base": base(place) })).collect();
     json!({

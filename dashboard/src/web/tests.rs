@@ -156,6 +156,7 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("GET /style.css HTTP/1.1", &host, 200),
         ("GET /icon.svg HTTP/1.1", &host, 200),
         ("GET /three.js HTTP/1.1", &host, 200),
+        ("GET /uplot.js HTTP/1.1", &host, 200),
         ("GET /space.js HTTP/1.1", &host, 200),
         ("GET /api/about HTTP/1.1", &host, 200),
         ("GET /api/blueprints HTTP/1.1", &host, 200),

@@ -63,6 +63,8 @@ export interface Point {
   n_env_steps: number;
   elapsed_s: number;
   weights_version: number;
+  /** Episodes that ended so far. */
+  n_episodes: number;
   [metric: string]: number;
 }
 
@@ -87,6 +89,7 @@ export interface Draws {
 export interface Learner {
   weights_version: number;
   n_env_steps: number;
+  n_episodes: number;
   elapsed_s: number;
   /** Longer than `elapsed_s` if the run was resumed. */
   run_elapsed_s?: number;
@@ -265,6 +268,11 @@ export interface Hit {
 /** The ids in page.html of elements with more properties than others. */
 interface Elements {
   "beside": HTMLCanvasElement;
+  "chart-axis": HTMLSelectElement;
+  "chart-log-x": HTMLInputElement;
+  "chart-log-y": HTMLInputElement;
+  "chart-smoothing": HTMLInputElement;
+  "chart-whole": HTMLButtonElement;
   "draw-canvas": HTMLCanvasElement;
   "draw-copy": HTMLButtonElement;
   "draw-expert": HTMLButtonElement;
