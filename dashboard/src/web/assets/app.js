@@ -10,6 +10,7 @@ import { drawDrops, drawRoster, Health, toPoint } from "./health.js";
 import { Heat } from "./heat.js";
 import { answerAt, isCopy, model } from "./model.js";
 import { ChosenOptions } from "./options.js";
+import { drawOrigins } from "./origin.js";
 import { Replay, askReplay, openRecording } from "./replay.js";
 import { copyLink, savePicture } from "./share.js";
 import { Stage } from "./stage.js";
@@ -197,6 +198,7 @@ function introduce(about) {
   }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
+  else drawOrigins($("origin"), [{ name: about.run, origin: about.origin }]);
   const isRestored = restore();
   if (about.kind === "play") {
     $("learner").remove();
@@ -221,7 +223,7 @@ async function startTrained() {
 }
 
 /**
- * Adds a run selector, and fetches the curves of all runs.
+ * Adds a run selector, and fetches the curves of all runs and what produced them.
  * @param {About["runs"]} all
  */
 async function chooseRun(all) {
@@ -229,11 +231,15 @@ async function chooseRun(all) {
   choice.value = String(Math.max(all.findIndex(({ base }) => base === model.base), 0));
   choice.addEventListener("change", () => { location.search = `?run=${choice.value}`; });
   $("run-name").replaceChildren(choice);
+  const ask = async (/** @type {string} */ base, /** @type {string} */ what) => (await fetch(answerAt(base, what))).json();
+  const asked = Promise.all(all.map(async ({ name, base }) => ({ name, origin: (await ask(base, "about")).origin })));
   model.beside = await Promise.all(all.map(async ({ name, base }) => {
-    const { passes, learner } = await (await fetch(answerAt(base, "history"))).json();
+    const { passes, learner } = await ask(base, "history");
     return { name, passes, points: learner };
   }));
   redraw("history", "learner");
+  $("tiles").after($("origin"));
+  drawOrigins($("origin"), await asked);
 }
 
 /**

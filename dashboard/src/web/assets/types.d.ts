@@ -133,6 +133,17 @@ export interface Roster {
   evaluators: string[];
 }
 
+/** What produced a run; what is unknown is left out. */
+export interface Origin {
+  settings: Record<string, any>;
+  command?: string[];
+  seed?: number;
+  commit?: string;
+  lodestone_version?: string;
+  started_utc?: string;
+  resumed_from?: string;
+}
+
 /** `/api/about`; `recorded` is only in a static copy. */
 export interface About {
   kind: "training" | "play" | "finished";
@@ -146,6 +157,7 @@ export interface About {
   gripper_colors: Rgb[];
   runs: { name: string; base: string }[];
   farewell: { ended: string; command: string | null } | null;
+  origin: Origin | null;
   recorded?: string[];
 }
 
