@@ -22,7 +22,7 @@ import { Terms } from "./terms.js";
 const options = new ChosenOptions(() => redraw("history", "learner"));
 const curves = new Curves($("curves"), options);
 const health = new Health($("health"), $("health-note"), options);
-const heat = new Heat($("heat"), $("heat-cell"), openCell);
+const heat = new Heat($("heat"), $("heat-axis"), $("heat-cell"), openCell);
 /** @type {(name: "replay" | "beside") => import("./view.js").Parts} */
 const partsOf = (name) => ({
   figure: $(`${name}-figure`), caption: $(`${name}-caption`), canvas: $(name), label: $(`${name}-label`), verdict: $(`${name}-verdict`),

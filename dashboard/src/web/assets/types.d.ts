@@ -299,6 +299,7 @@ interface Elements {
   "groups": HTMLTableElement;
   "heat": HTMLCanvasElement;
   "heat-find": HTMLInputElement;
+  "heat-whole": HTMLInputElement;
   "heat-scale": HTMLCanvasElement;
   "replay": HTMLCanvasElement;
   "replay-ask": HTMLButtonElement;
