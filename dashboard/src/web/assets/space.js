@@ -26,6 +26,9 @@ const FRAME_M = 0.007;
 const MARGIN = 1.06;
 const MIN_DISTANCE_M = 0.9;
 
+/** Width of a picture that has no room beside the goal's corner, pixels. */
+const NARROW = 480;
+
 const BACK_SIDE = 1;
 
 /**
@@ -364,10 +367,11 @@ export class Space {
     this.size = [width, height];
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
     this.renderer.setSize(width, height, false);
-    // The world is beside the goal's corner, where there is room for both.
-    const left = this.goal.length > 0 && width > 480 ? this.side() + 8 : 0;
-    this.camera.aspect = (width - left) / height;
-    this.camera.setViewOffset(width - left, height, -left, 0, width, height);
+    // The world is beside the goal's corner, or below it on a phone.
+    const taken = this.goal.length > 0 ? this.side() + 16 : 0;
+    const [left, top] = width > NARROW ? [taken, 0] : [0, taken];
+    this.camera.aspect = (width - left) / (height - top);
+    this.camera.setViewOffset(width - left, height - top, -left, -top, width, height);
   }
 
   /** Returns the width and height of the goal's corner, pixels. */
