@@ -2,6 +2,7 @@
 // episode or drawing.
 
 import { Gripper } from "./grippers.js";
+import { Ground } from "./ground.js";
 import { Magnets, rgb } from "./magnets.js";
 import { entry } from "./solid.js";
 import {
@@ -167,6 +168,8 @@ export class Space {
     this.sun.shadow.mapSize.set(1024, 1024);
     this.sun.shadow.bias = -0.0004;
     this.sun.shadow.normalBias = 0.004;
+    this.sun.shadow.radius = 3;
+    this.ground = new Ground(this.scene);
     lit(this.corner).position.set(1.2, -1.6, 2.4);
     this.shade = new Mesh(new PlaneGeometry(40, 40), new ShadowMaterial({ opacity: 0.28 }));
     this.shade.receiveShadow = true;
@@ -188,7 +191,7 @@ export class Space {
   theme() {
     const style = getComputedStyle(document.documentElement);
     const color = (/** @type {string} */ name) => new Color(style.getPropertyValue(name).trim());
-    this.scene.background = color("--ground");
+    this.ground.paint(color("--ground"), color("--horizon"), color("--sky"));
     if (this.grid) dispose(this.scene, [this.grid]);
     this.grid = new GridHelper(12, 24, color("--line"), color("--line"));
     this.grid.rotation.x = Math.PI / 2;
@@ -391,6 +394,8 @@ export class Space {
     const light = this.sun.shadow.camera;
     [light.left, light.right, light.bottom, light.top, light.near, light.far] = [-spread, spread, -spread, spread, 0.1, 12];
     light.updateProjectionMatrix();
+    this.ground.surround(this.camera, target);
+    this.ground.shade(this.blocks);
     this.renderer.setScissorTest(false);
     this.renderer.setViewport(0, 0, width, height);
     this.renderer.clear();
