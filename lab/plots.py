@@ -29,10 +29,11 @@ def heat_map(path: Path, title: str, lowest: float, colors: str) -> None:
     steps = [int(step) for step in header[3:]]
     values = [[float(value) if value else float("nan") for value in row[3:]] for row in rows]
     figure, axes = pyplot.subplots(figsize=(9, 2 + 0.13 * len(rows)))
-    image = axes.imshow(values, aspect="auto", interpolation="nearest", vmin=lowest, vmax=1.0, cmap=colors)
-    axes.set_yticks(range(len(rows)), [row[2] for row in rows], fontsize=6)
-    shown = range(0, len(steps), max(1, len(steps) // 8))
-    axes.set_xticks(shown, [f"{steps[at]:,}" for at in shown], fontsize=7)
+    # Each column reaches from the evaluation before to its own steps, so that the last one ends with the training.
+    edges = [0 if steps[0] > 0 else -1, *steps]
+    image = axes.pcolormesh(edges, range(len(rows) + 1), values, vmin=lowest, vmax=1.0, cmap=colors)
+    axes.invert_yaxis()
+    axes.set_yticks([row + 0.5 for row in range(len(rows))], [row[2] for row in rows], fontsize=6)
     axes.set_xlabel("environment steps")
     axes.set_title(title)
     figure.colorbar(image, ax=axes)
@@ -47,6 +48,7 @@ def lines(path: Path, title: str) -> None:
         steps, _, _, rates, low, high = zip(*of_name)
         axes.plot(steps, rates, marker="o", markersize=3, label=name)
         axes.fill_between(steps, low, high, alpha=0.15)
+    axes.set_xlim(0, max(int(row[1]) for row in rows))
     axes.set_ylim(0.0, 1.02)
     axes.set_xlabel("environment steps")
     axes.set_ylabel("success, 95 % intervals")

@@ -3,6 +3,7 @@
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::SystemTime;
 
 use blueprints::catalog::is_hidden;
@@ -81,13 +82,42 @@ struct Meta<'a> {
     started_utc: String,
     preset: Option<&'a str>,
     seed: u64,
+    commit: Option<String>,
     resumed_from: Option<String>,
+}
+
+/// The commit that the program is built from: the one that its build named, or that of the checkout that it lies in.
+fn commit() -> Option<String> {
+    let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).parent()?;
+    let asked = || {
+        std::env::current_exe().ok().filter(|program| program.starts_with(checkout))?;
+        let mut git = Command::new("git");
+        let said =
+            git.arg("-C").arg(checkout).args(["describe", "--always", "--dirty", "--exclude=*"]).output().ok()?;
+        Some(String::from_utf8_lossy(&said.stdout).trim().to_owned()).filter(|commit| !commit.is_empty())
+    };
+    option_env!("LODESTONE_COMMIT").map(str::to_owned).or_else(asked)
+}
+
+fn meta_of(paths: &RunPaths) -> Option<serde_json::Map<String, Value>> {
+    serde_json::from_slice(&outside::read(&paths.meta(), MAX_META_BYTES).ok()?).ok()
 }
 
 /// The preset that a run was started with, if it is recorded. Earlier versions did not record it.
 pub fn preset_of(paths: &RunPaths) -> Option<String> {
-    let meta: Value = serde_json::from_slice(&outside::read(&paths.meta(), MAX_META_BYTES).ok()?).ok()?;
-    Some(meta["preset"].as_str()?.to_owned())
+    Some(meta_of(paths)?.get("preset")?.as_str()?.to_owned())
+}
+
+/// What produced a run, for those who see its page: what is recorded, without the page's token, and the settings.
+pub fn origin_of(paths: &RunPaths, config: &Config) -> Value {
+    let mut origin = meta_of(paths).unwrap_or_default();
+    for word in origin.get_mut("command").and_then(Value::as_array_mut).into_iter().flatten() {
+        if let Some((name, _)) = word.as_str().and_then(|text| text.split_once("token")) {
+            *word = format!("{name}token=…").into();
+        }
+    }
+    origin.insert("settings".to_owned(), config.shown());
+    origin.into()
 }
 
 /// Checks that a run, a checkpoint, or a recording exists.
@@ -234,6 +264,7 @@ impl RunDir {
             started_utc: utc(SystemTime::now()),
             preset: preset.as_deref(),
             seed: config.seed,
+            commit: commit(),
             resumed_from: origin.checkpoint.as_deref().map(|path| path.display().to_string()),
         };
         let meta = serde_json::to_string_pretty(&meta).expect("plain strings and numbers are JSON");
@@ -392,14 +423,20 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let paths = RunPaths::new(folder.path());
         let mode = |file: PathBuf| fs::metadata(file).unwrap().permissions().mode() & 0o777;
-        let modes = |web: WebConfig| {
-            let config = Config { dashboard: DashboardConfig { web: Some(web) }, ..Config::default() };
-            drop(RunDir::create(Some(folder.path()), &config, None, &Origin::default()).unwrap());
+        let config_with = |token: Option<&str>| {
+            let web = WebConfig { token: token.map(|token| token.to_owned().into()), ..WebConfig::default() };
+            Config { dashboard: DashboardConfig { web: Some(web) }, ..Config::default() }
+        };
+        let modes = |config: &Config| {
+            drop(RunDir::create(Some(folder.path()), config, None, &Origin::default()).unwrap());
             [mode(paths.config()), mode(paths.meta())]
         };
-        assert_eq!(modes(WebConfig::default()), [mode(paths.lock()); 2], "as for any file");
-        let token = Some("0123456789abcdef".to_owned().into());
-        assert_eq!(modes(WebConfig { token, ..WebConfig::default() }), [0o600; 2]);
+        assert_eq!(modes(&config_with(None)), [mode(paths.lock()); 2], "as for any file");
+        let config = config_with(Some("0123456789abcdef"));
+        assert_eq!(modes(&config), [0o600; 2]);
+        fs::write(paths.meta(), r#"{ "command": ["--set", "dashboard.web.token=0123456789abcdef"] }"#).unwrap();
+        let origin = origin_of(&paths, &config).to_string();
+        assert!(origin.contains("dashboard.web.token=…") && !origin.contains("0123456789"), "{origin}");
     }
 
     #[test]

@@ -178,7 +178,8 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     let terms = scrub(n_steps);
     assert!((terms[0] - terms[1..].iter().sum::<f64>()).abs() < 0.05, "{terms:?}");
     assert!(browser.text("#replay-text").contains(&format!("reward {:.2}", terms[0])));
-    assert_eq!(browser.run("return document.querySelectorAll('#replay-terms polyline').length"), 6);
+    browser.until("document.querySelector('#replay-terms canvas')");
+    assert_eq!(browser.run("return document.querySelectorAll('#replay-values .dot').length"), 6);
     assert_eq!(scrub(0), [0.0; 6]);
 
     // Zoom out first, because an untrained policy throws blocks out of the picture.
@@ -205,9 +206,9 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     assert_eq!(watched.complaints(), Vec::<Value>::new());
 }
 
-/// Returns three numbers: how many blocks that are in place or held lie outside the camera's box, over all scenes of
-/// the episode; how much larger the final box is than the structure, in meters; and how much of the picture's half
-/// width or height that box fills.
+/// Returns four numbers: how many blocks that are in place or held lie outside the camera's box, over all scenes of the
+/// episode; how much larger the final box is than the structure, in meters; how much of the picture's half width or
+/// height that box fills; and how far it is beside or below the goal in the corner, in pixels.
 const CAMERA: &str = "
     const { episode: { scenes, goal }, follow, space } = replay.main;
     const isBuilt = (scene, block, pose) => apart3(scene.blocks[block], placed(scene.goal_frame, pose)) < 0.02;
@@ -224,7 +225,9 @@ const CAMERA: &str = "
     space.render();
     const corner = (k) => space.controls.target.clone().set(...[0, 1, 2].map((axis) => box[(k >> axis) & 1][axis]));
     const seen = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => corner(k).project(space.camera));
-    return [lost.length, apart3(...box) - length, Math.max(...seen.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)]))];
+    const least = [Math.min(...seen.map(({ x }) => (1 + x) * space.size[0])), Math.min(...seen.map(({ y }) => (1 - y) * space.size[1]))];
+    return [lost.length, apart3(...box) - length, Math.max(...seen.flatMap(({ x, y }) => [Math.abs(x), Math.abs(y)])),
+        Math.max(...least) / 2 - space.side() - 8];
 ";
 
 #[test]
@@ -252,10 +255,14 @@ fn play_opens_with_a_structure_being_built() {
     assert!(browser.text("#replay-verdict").starts_with("Built: 1 of 1 connection in "));
     assert_eq!(browser.run("return document.querySelector('#replay-verdict').className"), "verdict good");
     // The structure stays in the picture the whole time and fills it at the end.
-    let camera = browser.run(CAMERA);
-    assert_eq!(camera[0], 0, "{camera}");
-    assert!(camera[1].as_f64().is_some_and(|more_m| more_m < 0.5), "{camera}");
-    assert!(camera[2].as_f64().is_some_and(|share| (0.4..=1.0).contains(&share)), "{camera}");
+    for (width, device) in [(390, 2), (1280, 1)] {
+        let metrics = json!({ "width": width, "height": 844, "deviceScaleFactor": device, "mobile": width < 500 });
+        browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
+        browser.until(&format!("replay.main.space.size[0] < {width} && replay.main.space.size[0] > 0.8 * {width}"));
+        let camera: [f64; 4] = serde_json::from_value(browser.run(CAMERA)).unwrap();
+        assert!(camera[0] == 0.0 && camera[1] < 0.5 && (0.4..=1.0).contains(&camera[2]), "{camera:?} at {width}");
+        assert!(camera[3] >= 0.0, "the goal hides something: {camera:?} at {width}");
+    }
     browser.run(
         "const { space, episode: { goal }, label } = replay.main;
          const { x, y } = space.blocks[goal[0][0]].position.clone().project(space.camera);
@@ -465,9 +472,7 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     // Without new data, nothing is redrawn, so elements stay valid while they are checked.
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");
-    let named = browser.elements(
-        "main section, main button, main input, canvas[tabindex]:not([hidden] *), main svg[role=img], .scroll",
-    );
+    let named = browser.elements("main section, main button, main input, main [role=img]:not([hidden] *), .scroll");
     assert!(named.len() > 20, "{}", named.len());
     for element in named {
         assert_ne!(element.label(), "");

@@ -23,6 +23,10 @@ fn train_two(folder: &Path) {
     }
 }
 
+/// Whether every chart has a curve of both runs.
+const ARE_SIDE_BY_SIDE: &str = "document.querySelector('#curves canvas') && document.querySelector('#health canvas')
+    && [...document.querySelectorAll('.charts .reading')].every((one) => /first .*second /.test(one.textContent))";
+
 /// Starts a server of pages and finds its address in its output.
 fn serve(command: &mut Command, before: &str, after: &str) -> (Process, String) {
     let mut server = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
@@ -50,8 +54,8 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     let options =
         browser.run("return [...document.querySelectorAll('#run-name option')].map((one) => one.textContent)");
     assert_eq!(options, serde_json::json!(["first", "second"]));
-    // One curve per run, in one plot.
-    browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
+    browser.until(ARE_SIDE_BY_SIDE);
+    assert_eq!(browser.run(include_str!("curves.js")), serde_json::json!([]));
     // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is recorded.
     let videos: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/videos").1).unwrap();
     let recorded = &videos["videos"][0]["weights_version"];
@@ -63,8 +67,9 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     browser.until("!document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
     // Other episodes are run on demand, by the policy of the selected run.
-    browser.open(&format!("{address}/?run=1"));
+    browser.open(&format!("{address}/?run=1&axis=elapsed_s&smoothing=0.6"));
     browser.until("document.querySelector('#run-name select')?.value === '1'");
+    browser.until("health.options.smoothing === 0.6 && document.querySelector('#chart-axis').value === 'elapsed_s'");
     browser.element("#stage-next").click();
     browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").starts_with("The policy builds "), "{}", browser.text("#replay-note"));
@@ -92,7 +97,7 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     assert_eq!(browser.run("return document.querySelector('#draw, #stage-again, #replay-ask, footer')"), Value::Null);
     browser.element("#stage-agent input[value=expert]").click();
     browser.until("document.querySelector('#replay-note').textContent.startsWith('The expert builds ')");
-    browser.until("document.querySelectorAll('[aria-labelledby=beside-title] polyline').length >= 2");
+    browser.until(ARE_SIDE_BY_SIDE);
     let seen = complaints(&browser);
     // Browsers request this icon from every server.
     let others: Vec<&Value> = seen.iter().filter(|entry| !entry["message"].to_string().contains("favicon")).collect();

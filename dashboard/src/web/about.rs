@@ -7,6 +7,8 @@ use render::picture::GRIPPER_COLORS;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::routes::base;
+
 /// The kind of page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -20,7 +22,7 @@ pub enum Kind {
 }
 
 /// Summary of a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct About {
     /// The kind of page.
     pub kind: Kind,
@@ -33,9 +35,12 @@ pub struct About {
     /// The goals shown first; empty for the whole catalog.
     pub blueprints: Vec<BlueprintId>,
     /// All goals available for selection.
+    #[serde(skip)]
     pub catalog: Arc<Catalog>,
     /// What the page says when nothing serves it any longer.
     pub farewell: Farewell,
+    /// What produced the run: its settings, and what else is known; `null` if it is no run.
+    pub origin: Value,
 }
 
 /// The last words of a page.
@@ -61,20 +66,13 @@ impl About {
 
 /// Returns the response to `/api/about`; `runs` are the names of all runs of the page.
 pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
-    let base = |place: usize| if place == 0 { String::new() } else { format!("/runs/{place}") };
     let runs: Vec<Value> =
         runs.iter().enumerate().map(|(place, name)| json!({ "name": name, "base": base(place) })).collect();
-    json!({
-        "schema_version": 1,
-        "kind": about.kind,
-        "run": about.run,
-        "preset": about.preset,
-        "n_env_steps": about.n_env_steps,
-        "blueprints": about.blueprints,
-        "first": about.first(),
-        "can_play": can_play,
-        "gripper_colors": GRIPPER_COLORS,
-        "runs": runs,
-        "farewell": about.farewell,
-    })
+    let mut told = json!(about);
+    told["schema_version"] = 1.into();
+    told["first"] = json!(about.first());
+    told["can_play"] = can_play.into();
+    told["gripper_colors"] = json!(GRIPPER_COLORS);
+    told["runs"] = runs.into();
+    told
 }

@@ -19,17 +19,20 @@ macro_rules! modules {
 }
 
 /// The page itself, and what is no module of our own.
-const OTHERS: [Asset; 4] = [
+const OTHERS: [Asset; 6] = [
     ("/", "text/html; charset=utf-8", include_str!("assets/page.html")),
     ("/style.css", "text/css; charset=utf-8", include_str!("assets/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("assets/icon.svg")),
     ("/three.js", JS, include_str!("assets/vendor/three.min.js")),
+    ("/uplot.css", "text/css; charset=utf-8", include_str!("assets/vendor/uplot.min.css")),
+    ("/uplot.js", JS, include_str!("assets/vendor/uplot.min.js")),
 ];
 
 /// The page's modules. Those of the 3D view are loaded when the first episode is shown or the user starts to draw.
-const MODULES: [Asset; 26] = modules!(
-    "address" "app" "attention" "axes" "curves" "draw" "editor" "follow" "format" "gallery" "grippers" "health" "heat"
-    "labels" "magnets" "model" "pointer" "replay" "share" "solid" "space" "stage" "terms" "verdict" "videos" "view"
+const MODULES: [Asset; 31] = modules!(
+    "address" "app" "attention" "axes" "chart" "curves" "draw" "editor" "follow" "format" "gallery" "grippers" "ground"
+    "health" "heat" "labels" "magnets" "model" "options" "origin" "pointer" "replay" "share" "solid" "space" "stage"
+    "terms" "ticks" "verdict" "videos" "view"
 );
 
 /// Returns all files.
@@ -37,8 +40,11 @@ pub(super) fn all() -> impl Iterator<Item = Asset> {
     OTHERS.into_iter().chain(MODULES)
 }
 
-/// The 3D library, compressed: it is most of what a browser loads.
-const PACKED: (&str, &[u8]) = ("/three.js", include_bytes!("assets/vendor/three.min.js.gz"));
+/// The libraries, compressed: they are most of what a browser loads.
+const PACKED: [(&str, &[u8]); 2] = [
+    ("/three.js", include_bytes!("assets/vendor/three.min.js.gz")),
+    ("/uplot.js", include_bytes!("assets/vendor/uplot.min.js.gz")),
+];
 
 /// Modules to load early if the page opens with an episode.
 const PRELOADS: &str =
@@ -53,7 +59,7 @@ pub(super) fn route<S: Clone + Send + Sync + 'static>(
         "/" if opens => text.replace("</head>", &format!("{PRELOADS}</head>")).into(),
         _ => Bytes::from_static(text.as_bytes()),
     };
-    let packed = (path == PACKED.0).then(|| Bytes::from_static(PACKED.1));
+    let packed = PACKED.iter().find(|(of, _)| *of == path).map(|(_, bytes)| Bytes::from_static(bytes));
     let tag = format!("\"{:016x}\"", proto::config_hash(&String::from_utf8_lossy(&text)));
     get(move |headers: HeaderMap| std::future::ready(answer(&headers, content_type, &tag, &text, packed.as_ref())))
 }
@@ -90,13 +96,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_compressed_file_is_that_of_the_library() {
-        let (_, _, text) = all().find(|(path, ..)| *path == PACKED.0).unwrap();
-        // The end of a gzip file: the checksum of the content, and its length.
+    fn the_compressed_files_are_those_of_the_libraries() {
         let bit = |crc: u32, _| (crc >> 1) ^ (0xedb8_8320 & 0_u32.wrapping_sub(crc & 1));
-        let checksum = !text.bytes().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(byte), bit));
-        let end = [checksum.to_le_bytes(), (text.len() as u32).to_le_bytes()].concat();
-        assert!(PACKED.1.ends_with(&end), "compress it again, as vendor/README.md says");
+        for (name, packed) in PACKED {
+            let (_, _, text) = all().find(|(path, ..)| *path == name).unwrap();
+            // The end of a gzip file: the checksum of the content, and its length.
+            let checksum = !text.bytes().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(byte), bit));
+            let end = [checksum.to_le_bytes(), (text.len() as u32).to_le_bytes()].concat();
+            assert!(packed.ends_with(&end), "compress {name} again, as vendor/README.md says");
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use proto::ActorId;
 use proto::keys::{METRICS_EVAL_SUMMARY, METRICS_LEARNER};
 use proto::metrics::{ActorMetrics, LearnerMetrics};
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio_util::sync::CancellationToken;
 
@@ -77,23 +77,9 @@ struct Points {
     n_seen: usize,
 }
 
-/// The charted values of one learner update.
-#[derive(Clone, Debug, Serialize)]
-struct Point {
-    elapsed_s: f64,
-    n_env_steps: u64,
-    weights_version: u64,
-    env_steps_per_s: f64,
-    policy_lag_mean: f64,
-    policy_loss: f64,
-    value_loss: f64,
-    entropy: f64,
-    approx_kl: f64,
-    explained_variance: f64,
-    /// Draws of the mixture head; absent for the Gaussian head.
-    #[serde(flatten)]
-    draws: BTreeMap<&'static str, f64>,
-}
+/// A learner update: its environment steps, and the charted values.
+#[derive(Clone, Debug)]
+struct Point(u64, Value);
 
 /// The response to `/api/history`.
 #[derive(Debug, Serialize)]
@@ -101,7 +87,7 @@ struct HistoryView<'b> {
     schema_version: u32,
     #[serde(flatten)]
     passes: PassesView<'b>,
-    learner: Vec<&'b Point>,
+    learner: Vec<&'b Value>,
 }
 
 impl Board {
@@ -230,31 +216,33 @@ impl State {
 
 impl Points {
     /// Returns the points that are kept, and the newest one, which is how a finished run ended.
-    fn all(&self) -> Vec<&Point> {
-        let newest = self
-            .newest
-            .iter()
-            .filter(|newest| self.kept.last().is_none_or(|last| last.n_env_steps < newest.n_env_steps));
-        self.kept.iter().chain(newest).collect()
+    fn all(&self) -> Vec<&Value> {
+        let is_new = |newest: &&Point| self.kept.last().is_none_or(|last| last.0 < newest.0);
+        self.kept.iter().chain(self.newest.iter().filter(is_new)).map(|point| &point.1).collect()
     }
 
     fn push(&mut self, learner: &LearnerMetrics) {
         // After a restart from an older checkpoint or from scratch, drop the points that the learner repeats.
-        self.kept.retain(|point| point.n_env_steps < learner.n_env_steps);
+        self.kept.retain(|point| point.0 < learner.n_env_steps);
         self.n_seen += 1;
-        let point = Point {
-            elapsed_s: learner.elapsed_s.max(learner.run_elapsed_s),
-            n_env_steps: learner.n_env_steps,
-            weights_version: learner.weights_version.0,
-            env_steps_per_s: learner.env_steps_per_s,
-            policy_lag_mean: learner.policy_lag_mean,
-            policy_loss: learner.ppo.policy_loss,
-            value_loss: learner.ppo.value_loss,
-            entropy: learner.ppo.entropy,
-            approx_kl: learner.ppo.approx_kl,
-            explained_variance: learner.ppo.explained_variance,
-            draws: CHARTED.iter().filter_map(|&(name, _, look)| Some((name, look(learner)?))).collect(),
-        };
+        let mut value = json!({
+            "elapsed_s": learner.elapsed_s.max(learner.run_elapsed_s),
+            "n_env_steps": learner.n_env_steps,
+            "n_episodes": learner.n_episodes,
+            "weights_version": learner.weights_version.0,
+            "env_steps_per_s": learner.env_steps_per_s,
+            "policy_lag_mean": learner.policy_lag_mean,
+            "policy_loss": learner.ppo.policy_loss,
+            "value_loss": learner.ppo.value_loss,
+            "entropy": learner.ppo.entropy,
+            "approx_kl": learner.ppo.approx_kl,
+            "explained_variance": learner.ppo.explained_variance,
+        });
+        // Only the mixture head has draws.
+        for (name, draws) in CHARTED.iter().filter_map(|&(name, _, look)| Some((name, look(learner)?))) {
+            value[name] = draws.into();
+        }
+        let point = Point(learner.n_env_steps, value);
         self.newest = Some(point.clone());
         if !self.n_seen.is_multiple_of(self.n_skipped + 1) {
             return;

@@ -107,6 +107,9 @@ impl Copy<'_> {
         about["recorded"] = json!(recorded);
         // Nothing serves the copy, and others need not know the paths of this machine.
         about["farewell"] = Value::Null;
+        if let Some(origin) = about["origin"].as_object_mut() {
+            origin.retain(|name, _| !["command", "resumed_from"].contains(&name.as_str()));
+        }
         self.write(&format!("{base}/api/about.json"), about.to_string().as_bytes())?;
         self.take(&format!("{base}/api/history"), &format!("{base}/api/history.json")).await?;
         let (_, videos) = self.ask(&format!("{base}/api/videos")).await?;

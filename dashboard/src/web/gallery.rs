@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use blueprints::{Blueprint, BlueprintId, Catalog, Group, UNIT_M};
 use parking_lot::Mutex;
 use render::picture::{Camera, Ground, Painter, View, corners, encode, of_blueprint};
-use serde::Serialize;
+use serde_json::json;
 
 use super::query::id_of;
 
@@ -33,20 +33,6 @@ const KEPT: &str = "private, max-age=86400";
 /// Cache of requested pictures; at most as many as the catalog has blueprints.
 #[derive(Debug, Default)]
 pub(super) struct Gallery(Mutex<BTreeMap<BlueprintId, Bytes>>);
-
-#[derive(Serialize)]
-struct GalleryView<'c> {
-    schema_version: u32,
-    blueprints: Vec<Entry<'c>>,
-}
-
-#[derive(Serialize)]
-struct Entry<'c> {
-    id: &'c BlueprintId,
-    title: &'c str,
-    n_blocks: usize,
-    group: Option<&'static str>,
-}
 
 impl Gallery {
     /// Returns the PNG of a blueprint in the catalog. Draws one at a time, each in around ten milliseconds.
@@ -71,20 +57,13 @@ fn draw(blueprint: &Blueprint) -> Option<Vec<u8>> {
 
 /// Returns all blueprints of the catalog, in its order.
 pub(super) async fn list(Extension(catalog): Extension<Arc<Catalog>>) -> Response {
-    let blueprints = catalog.iter().map(entry).collect();
-    match serde_json::to_vec(&GalleryView { schema_version: 1, blueprints }) {
-        Ok(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
-}
-
-fn entry(blueprint: &Blueprint) -> Entry<'_> {
-    Entry {
-        id: blueprint.id(),
-        title: blueprint.title(),
-        n_blocks: blueprint.n_blocks(),
-        group: Group::of(blueprint.split(), blueprint.n_blocks()).map(Group::name),
-    }
+    let entry = |blueprint: &Blueprint| {
+        let (n_blocks, group) = (blueprint.n_blocks(), Group::of(blueprint.split(), blueprint.n_blocks()));
+        json!({ "id": blueprint.id(), "title": blueprint.title(), "n_blocks": n_blocks, "group": group.map(Group::name) })
+    };
+    let blueprints: Vec<_> = catalog.iter().map(entry).collect();
+    let answer = json!({ "schema_version": 1, "blueprints": blueprints });
+    ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
 }
 
 /// Returns the picture of the blueprint named in the query.

@@ -15,7 +15,7 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use blueprints::Catalog;
-use serde::Serialize;
+use serde_json::json;
 use tokio::task::JoinError;
 
 use super::about::{About, Kind, about};
@@ -29,7 +29,7 @@ use super::query::id_of;
 use super::replay::Replays;
 use super::server::Connection;
 use super::stage::{self, Stage};
-use super::videos::{VideoView, Videos};
+use super::videos::Videos;
 use crate::config::{Token, WebConfig};
 
 /// Beginning of the name of the cookie that holds the token. The rest depends on the token: browsers send the cookies of
@@ -144,23 +144,10 @@ async fn history(State(board): State<Arc<Board>>) -> Response {
     }
 }
 
-/// The newest videos.
-#[derive(Serialize)]
-struct VideosView {
-    schema_version: u32,
-    videos: Vec<VideoView>,
-}
-
 async fn list_videos(Extension(videos): Extension<Videos>) -> Response {
     // Off the runtime, because this blocks on disk reads. The same applies below.
-    let answer = tokio::task::spawn_blocking(move || {
-        serde_json::to_vec(&VideosView { schema_version: 1, videos: videos.list() })
-    });
-    match answer.await {
-        Ok(Ok(json)) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
-        Ok(Err(error)) => failed(&error),
-        Err(error) => failed(&error),
-    }
+    let list = move || Some(json!({ "schema_version": 1, "videos": videos.list() }).to_string());
+    found("application/json", tokio::task::spawn_blocking(list).await)
 }
 
 /// Returns the video named in the query.

@@ -46,11 +46,8 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let (policy, newest) = untrained();
     let (passes, its_passes) = mpsc::unbounded_channel();
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
-    let run = "r".to_owned();
-    let catalog = Catalog::builtin().clone();
-    let (n_env_steps, farewell) = (Some(5000), Farewell { ended: "the run", command: Some("a command".to_owned()) });
-    let about =
-        About { kind: Kind::Training, run, preset: None, n_env_steps, blueprints: Vec::new(), catalog, farewell };
+    let farewell = Farewell { ended: "the run", command: Some("a command".to_owned()) };
+    let about = About { farewell, ..about(Kind::Training, "r", 5000, Catalog::builtin().clone()) };
     let stage = Stage::new(|order, _| match order.builder {
         Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
         Builder::Policy => Err(StageError::NoWeights),
@@ -60,6 +57,12 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let its_bus = bus.clone();
     let task = tokio::spawn(async move { page.serve(&its_bus, source).await });
     Served { bus, address, passes, task }
+}
+
+fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> About {
+    let (blueprints, farewell) = (Vec::new(), Farewell { ended: "the program", command: None });
+    let (run, n_env_steps, origin) = (run.to_owned(), Some(n_env_steps), Value::Null);
+    About { kind, run, preset: None, n_env_steps, blueprints, catalog, farewell, origin }
 }
 
 /// A network small enough for tests, with its weights.
@@ -554,15 +557,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
         std::fs::write(dir.path().join(folder).join(file), bytes).unwrap();
     }
     let finished = |name: &str, n_env_steps, catalog| {
-        let about = About {
-            kind: Kind::Finished,
-            run: name.to_owned(),
-            preset: None,
-            n_env_steps: Some(n_env_steps),
-            blueprints: Vec::new(),
-            catalog,
-            farewell: Farewell { ended: "the program", command: None },
-        };
+        let about = about(Kind::Finished, name, n_env_steps, catalog);
         let (policy, weights) = untrained();
         let run = RunPaths::new(dir.path());
         let (passes, weights) = (vec![pass(n_env_steps, &[])], Some(Arc::new(weights)));

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use blueprints::{Catalog, outside};
+use proto::Trajectory;
 use proto::codec::{MAX_RECORDING_BYTES, decode_recording};
-use proto::{Trajectory, WeightsVersion};
 use render::picture::encode;
 use render::video::{Episode, LAST_S, MIN_WIDTH, Video};
 use runlog::RunPaths;
 use runlog::videos::{RECORDING, VideoFile, videos};
-use serde::Serialize;
+use serde_json::{Value, json};
 
 /// Maximum number of listed videos.
 const MAX_LISTED: usize = 60;
@@ -27,29 +27,17 @@ const N_COLORS: usize = 96;
 #[derive(Clone, Debug)]
 pub(super) struct Videos(Option<RunPaths>);
 
-/// A video as sent to the browser.
-#[derive(Debug, Serialize)]
-pub(super) struct VideoView {
-    /// Value of `id` in `/api/video?id=`.
-    id: String,
-    blueprint: String,
-    weights_version: WeightsVersion,
-    ending: &'static str,
-}
-
 impl Videos {
     /// Creates a view of the videos of `run`; `None` has no videos.
     pub(super) fn new(run: Option<RunPaths>) -> Self {
         Self(run)
     }
 
-    /// Returns the newest videos, newest first.
-    pub(super) fn list(&self) -> Vec<VideoView> {
-        let view = |video: &VideoFile| VideoView {
-            id: id(video),
-            blueprint: video.blueprint.to_string(),
-            weights_version: video.version,
-            ending: video.ending,
+    /// Returns the newest videos as sent to the browser, newest first, each with its `id` in `/api/video?id=`.
+    pub(super) fn list(&self) -> Value {
+        let view = |video: &VideoFile| {
+            let (blueprint, version, ending) = (&video.blueprint, video.version, video.ending);
+            json!({ "id": id(video), "blueprint": blueprint, "weights_version": version, "ending": ending })
         };
         self.all().iter().take(MAX_LISTED).map(view).collect()
     }

@@ -152,7 +152,8 @@ fn about(args: &PlayArgs, program: Program) -> About {
     };
     let Program { named: blueprints, catalog } = program;
     let farewell = Farewell { ended: "the program", command: Some(command(args)) };
-    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog, farewell }
+    let origin = serde_json::Value::Null;
+    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog, farewell, origin }
 }
 
 /// The command that plays the same policy and goals.

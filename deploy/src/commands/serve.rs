@@ -23,7 +23,7 @@ use crate::cli::ServeArgs;
 use crate::config::{Base, Config, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::{check_run, preset_of};
+use crate::run_dir::{check_run, origin_of, preset_of};
 use crate::shell;
 
 /// Serves the page until `shutdown`, or writes the copy.
@@ -101,8 +101,8 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.catalog().clone();
     let blueprints = config.evaluator.selection.blueprints.clone();
-    let preset = preset_of(&paths);
-    let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell };
+    let (preset, origin) = (preset_of(&paths), origin_of(&paths, &config));
+    let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin };
     Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
 }
 
@@ -146,6 +146,7 @@ mod tests {
             blueprints,
             catalog: Catalog::builtin().clone(),
             farewell: Farewell { ended: "the program", command: None },
+            origin: serde_json::Value::Null,
         };
         let found = groups(recorded(&[], &about(Vec::new())));
         assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");

@@ -224,6 +224,7 @@ pub(super) fn about(settings: &Settings, catalog: &Arc<Catalog>, farewell: Farew
         blueprints: config.evaluator.selection.blueprints.clone(),
         catalog: catalog.clone(),
         farewell,
+        origin: serde_json::json!({ "settings": config.shown() }),
     }
 }
 

@@ -15,6 +15,7 @@ use learner::{Arrivals, LearnerSetup, RunOptions, Source};
 use proto::keys::Role;
 use proto::metrics::{EvalReport, EvalSummary, LearnerMetrics};
 use proto::{ActorId, Valid, Weights};
+use runlog::RunPaths;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinError, JoinHandle, JoinSet};
@@ -30,7 +31,7 @@ use crate::config::{Config, Override, Preset};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
-use crate::run_dir::{Origin, RunDir};
+use crate::run_dir::{Origin, RunDir, origin_of};
 use crate::shell::{self, program};
 use crate::signals;
 
@@ -160,7 +161,8 @@ async fn prepare(
     let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, origin)?;
     let preset = run_dir.preset().map(str::to_owned);
     let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
-    let about = About { preset, ..services::about(settings, catalog, last_words) };
+    let origin = origin_of(&RunPaths::new(run_dir.path()), config);
+    let about = About { preset, origin, ..services::about(settings, catalog, last_words) };
     let page = page.map(|page| services::Opened { page, about, first: None });
     Ok(Prepared { setup, run_dir, page, health })
 }

@@ -90,6 +90,14 @@ impl Config {
         format!("base = \"{NO_BASE}\"\n{}", toml::to_string(&table).expect("a table is TOML"))
     }
 
+    /// The settings that anyone may read: all but how the processes find each other, and the token of the page.
+    pub fn shown(&self) -> serde_json::Value {
+        let settings = self.to_table().into_iter().filter(|(name, _)| !["bus", "dashboard"].contains(&name.as_str()));
+        let mut table = toml::Value::Table(settings.collect());
+        shorten(&mut table);
+        serde_json::to_value(table).expect("settings are numbers, words, and lists of them")
+    }
+
     fn to_table(&self) -> toml::Table {
         toml::Table::try_from(self).expect("every section consists of what TOML can express")
     }

@@ -2,13 +2,15 @@
 
 import { address } from "./address.js";
 import { Attention } from "./attention.js";
-import { drawBeside, drawCurves, drawGroups } from "./curves.js";
+import { Curves, drawGroups } from "./curves.js";
 import { Editor } from "./editor.js";
 import { askVideos, videoOf } from "./videos.js";
 import { $, count, decimal, element, interval, minutes, percent, sentence } from "./format.js";
-import { drawDrops, drawHealth, drawRoster, toPoint } from "./health.js";
+import { drawDrops, drawRoster, Health, toPoint } from "./health.js";
 import { Heat } from "./heat.js";
 import { answerAt, isCopy, model } from "./model.js";
+import { ChosenOptions } from "./options.js";
+import { drawOrigins } from "./origin.js";
 import { Replay, askReplay, openRecording } from "./replay.js";
 import { copyLink, savePicture } from "./share.js";
 import { Stage } from "./stage.js";
@@ -17,7 +19,10 @@ import { Terms } from "./terms.js";
 /** @import { Values } from "./address.js" */
 /** @import { About, Acting, Video, History, Pass, Roster, Row } from "./types" */
 
-const heat = new Heat($("heat"), $("heat-cell"), openCell);
+const options = new ChosenOptions(() => redraw("history", "learner"));
+const curves = new Curves($("curves"), options);
+const health = new Health($("health"), $("health-note"), options);
+const heat = new Heat($("heat"), $("heat-axis"), $("heat-cell"), openCell);
 /** @type {(name: "replay" | "beside") => import("./view.js").Parts} */
 const partsOf = (name) => ({
   figure: $(`${name}-figure`), caption: $(`${name}-caption`), canvas: $(name), label: $(`${name}-label`), verdict: $(`${name}-verdict`),
@@ -68,6 +73,7 @@ $("replay-save").addEventListener("click", () => savePicture(replay));
 
 /** Shows what the address names. Returns false if it names no episode. */
 function restore() {
+  options.restore();
   $("replay-ghost").checked = address.get("goal") !== "hidden";
   if (address.get("open") === "gallery") stage.open();
   else if ($("gallery").open) $("gallery").close();
@@ -113,16 +119,23 @@ function draw() {
   stale.clear();
   if (parts.has("history")) {
     heat.show(model.history, model.acting);
-    drawCurves($("curves"), model.history, model.acting, underWay());
-    drawGroups($("groups"), model.history);
+    curves.show(runs(), model.acting, underWay());
+    drawGroups($("groups"), model.history, model.beside.length < 2);
   }
   if (parts.has("learner") && $("learner")) {
     $("learner").hidden = model.points.length === 0 && model.about !== null && model.about.kind === "finished";
-    drawHealth($("health"), $("health-note"), model.points);
+    health.show(runs());
+    options.offer(runs());
   }
   if ($("roster")) drawRoster($("roster"), model.roster, model.actors, model.learner, model.link === "live");
   if ($("drops")) drawDrops($("drops"), model.actors, model.learner, model.summary);
   drawTiles();
+}
+
+/** Returns the runs that the charts show: the page's own, or all of several. */
+function runs() {
+  const own = { name: model.about ? model.about.run : "", passes: model.history.passes, points: model.points };
+  return model.beside.length > 1 ? model.beside : [own];
 }
 
 /** Returns the success so far and a progress text of the evaluation that has not ended; `null` if there is none. */
@@ -185,6 +198,7 @@ function introduce(about) {
   }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
+  else drawOrigins($("origin"), [{ name: about.run, origin: about.origin }]);
   const isRestored = restore();
   if (about.kind === "play") {
     $("learner").remove();
@@ -209,23 +223,23 @@ async function startTrained() {
 }
 
 /**
- * Adds a run selector and a chart with the curves of all runs.
- * @param {About["runs"]} runs
+ * Adds a run selector, and fetches the curves of all runs and what produced them.
+ * @param {About["runs"]} all
  */
-function chooseRun(runs) {
-  const choice = element("select", { "aria-label": "Run", "data-served": "" }, ...runs.map(({ name }, i) => element("option", { value: String(i) }, name)));
-  choice.value = String(Math.max(runs.findIndex(({ base }) => base === model.base), 0));
+async function chooseRun(all) {
+  const choice = element("select", { "aria-label": "Run", "data-served": "" }, ...all.map(({ name }, i) => element("option", { value: String(i) }, name)));
+  choice.value = String(Math.max(all.findIndex(({ base }) => base === model.base), 0));
   choice.addEventListener("change", () => { location.search = `?run=${choice.value}`; });
   $("run-name").replaceChildren(choice);
-  const place = element("div", {});
-  $("tiles").after(element("section", { class: "card wide", "aria-labelledby": "beside-title" }, element("h2", { id: "beside-title" }, "Side by side"), place));
-  const asked = runs.map(async ({ name, base }) => ({ name, history: await (await fetch(answerAt(base, "history"))).json() }));
-  Promise.all(asked).then((all) => {
-    const draw = () => drawBeside(place, all, model.acting);
-    draw();
-    window.addEventListener("resize", draw);
-    $("acting").addEventListener("change", () => setTimeout(draw));
-  });
+  const ask = async (/** @type {string} */ base, /** @type {string} */ what) => (await fetch(answerAt(base, what))).json();
+  const asked = Promise.all(all.map(async ({ name, base }) => ({ name, origin: (await ask(base, "about")).origin })));
+  model.beside = await Promise.all(all.map(async ({ name, base }) => {
+    const { passes, learner } = await ask(base, "history");
+    return { name, passes, points: learner };
+  }));
+  redraw("history", "learner");
+  $("tiles").after($("origin"));
+  drawOrigins($("origin"), await asked);
 }
 
 /**
@@ -378,11 +392,6 @@ $("acting").addEventListener("change", ({ target }) => {
   model.acting = /** @type {Acting} */ (/** @type {HTMLInputElement} */ (target).value);
   redraw("history");
 });
-let width = 0;
-new ResizeObserver(([entry]) => {
-  if (Math.abs(entry.contentRect.width - width) > 1) redraw("history");
-  width = entry.contentRect.width;
-}).observe($("curves"));
 /** Fetches the page's summary first. If that fails, treats the page as a training run. */
 async function begin() {
   const place = new URLSearchParams(location.search).get("run");
@@ -406,4 +415,4 @@ async function begin() {
 begin();
 
 // For tests in a browser.
-export { editor, heat, replay };
+export { curves, editor, health, heat, replay };

@@ -1,101 +1,118 @@
-// Success by group against environment steps, with 95 % intervals, and the table of the newest evaluation.
+// Success by group, and the table of the newest evaluation.
 
-import { count, element, fill, interval, minutes, percent, svg } from "./format.js";
+import { Charts, sample } from "./chart.js";
+import { count, element, fill, interval, minutes, percent } from "./format.js";
+import { placeOf } from "./options.js";
 
+/** @import { Curve, Spec } from "./chart.js" */
+/** @import { Options, Run } from "./options.js" */
 /** @import { Acting, History, Pass, Rate } from "./types" */
 
-const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation 2-6", "validation", "all"];
-/** Curves with fewer points than this have visible dots. */
-const MAX_DOTS = 40;
-
-/** Dash patterns of the curves `g0`, `g1`, …, which differ in more than their color. */
-export const DASHES = ["none", "7 3", "2 3", "9 3 2 3", "5 5", "7 2 1 2", "1 2"];
+const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation 2-6", "validation"];
+/** Success on all blueprints. */
+const ALL = "all";
 
 /**
- * Creates an empty chart of rates (0 to 1) against environment steps (0 to `most`), with its coordinate functions.
- * @param {HTMLElement} place where it will be shown
- * @param {number} most
- * @param {string} label
- */
-function rateAxes(place, most, label) {
-  const width = Math.max(Math.min(place.clientWidth || 700, 1160), 260);
-  const [height, left, right, top, bottom] = [width < 500 ? 200 : 260, 44, 10, 8, 26];
-  const x = (/** @type {number} */ steps) => left + (steps / most) * (width - left - right);
-  const y = (/** @type {number} */ rate) => top + (1 - rate) * (height - top - bottom);
-  const drawing = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
-  for (const rate of [0, 0.25, 0.5, 0.75, 1]) {
-    drawing.append(svg("line", { class: "grid", x1: left, x2: width - right, y1: y(rate), y2: y(rate) }));
-    drawing.append(svg("text", { x: left - 6, y: y(rate) + 4, "text-anchor": "end" }, `${100 * rate} %`));
-  }
-  for (const steps of ticks(most, width < 500 ? 3 : 6)) {
-    const anchor = x(steps) > width - 30 ? "end" : "middle";
-    drawing.append(svg("text", { x: x(steps), y: height - 8, "text-anchor": anchor }, steps === 0 ? "0 steps" : count(steps)));
-  }
-  return { drawing, x, y };
-}
-
-/**
- * Returns round numbers from 0 to `most`, about `n` of them.
- * @param {number} most
- * @param {number} n
- */
-function ticks(most, n) {
-  if (most < n) return [0];
-  const rough = most / n;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
-  const all = [];
-  for (let at = 0; at <= most * 1.0001; at += step) all.push(at);
-  return all;
-}
-
-/**
- * Draws success by group. Before the first evaluation ends, shows the preliminary numbers of `now`, if any.
- * @param {HTMLElement} place
- * @param {History} history
+ * Returns the rate of a group, or of all blueprints, in an evaluation; `null` if it has none.
+ * @param {Pass} pass
+ * @param {string} group
  * @param {Acting} acting
- * @param {{ success: Rate, text: string } | null} now
+ * @returns {Rate | null}
  */
-export function drawCurves(place, history, acting, now) {
-  const passes = history.passes.filter((pass) => pass.all[acting]);
-  if (passes.length === 0) {
-    const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : "No evaluation yet; the first comes with the first weights.";
-    place.replaceChildren(element("p", { class: "empty" }, soFar));
-    return;
-  }
-  if (passes.length === 1) {
-    // The table below already shows all numbers.
-    place.replaceChildren();
-    return;
-  }
-  const last = passes[passes.length - 1];
-  const said = last.groups.filter((group) => group[acting]).map((group) => `${group.name} ${percent(group[acting].rate)}`);
-  const label = `Success by group over ${passes.length} evaluations; newest: ${said.join(", ") || percent(last.all[acting].rate)}`;
-  const { drawing, x, y } = rateAxes(place, Math.max(...passes.map((pass) => pass.n_env_steps), 1), label);
-  GROUPS.forEach((name, i) => {
-    const points = passes
-      .map((pass) => ({ steps: pass.n_env_steps, rate: pass.groups.find((group) => group.name === name)?.[acting] }))
-      .filter((point) => point.rate);
-    if (points.length === 0) return;
-    const upper = points.map((point) => `${x(point.steps)},${y(point.rate.wilson_high)}`);
-    const lower = points.map((point) => `${x(point.steps)},${y(point.rate.wilson_low)}`).reverse();
-    drawing.append(svg("polygon", { class: `band g${i}`, points: [...upper, ...lower].join(" ") }));
-    const line = points.map((point) => `${x(point.steps)},${y(point.rate.rate)}`).join(" ");
-    drawing.append(svg("polyline", { class: `curve g${i}`, "stroke-dasharray": DASHES[i], points: line }));
-    // Dots that touch would hide the line. Invisible ones still show tooltips.
-    const look = points.length < MAX_DOTS ? { class: `g${i}`, r: 2.5 } : { class: "unseen", r: 5 };
-    points.forEach((point) => drawing.append(svg("circle", { ...look, cx: x(point.steps), cy: y(point.rate.rate) },
-      svg("title", {}, `${name}, ${count(point.steps)} steps: ${percent(point.rate.rate)} (${interval(point.rate)})`))));
+function rateOf(pass, group, acting) {
+  const found = group === ALL ? pass.all : pass.groups.find(({ name }) => name === group);
+  return (found && found[acting]) || null;
+}
+
+/**
+ * Returns the success of a run on a group.
+ * @param {Run} run
+ * @param {string} group
+ * @param {Acting} acting
+ * @param {Options} options
+ */
+function placesOf(run, group, acting, options) {
+  return run.passes.flatMap((pass) => {
+    const rate = rateOf(pass, group, acting);
+    return rate ? [{ x: placeOf(run, pass, options.axis.name), y: rate.rate, low: rate.wilson_low, high: rate.wilson_high }] : [];
   });
-  place.replaceChildren(drawing);
+}
+
+/**
+ * Returns the newest rates of some curves in words.
+ * @param {Curve[]} curves
+ */
+const newest = (curves) => curves.map(({ name, places }) => `${name} ${places.length > 0 ? percent(places[places.length - 1].y) : "not evaluated"}`).join(", ");
+
+/**
+ * Returns one chart with a curve per group of a single run, or one chart per group with a curve per run.
+ * @param {Run[]} runs
+ * @param {Acting} acting
+ * @param {Options} options
+ * @returns {Spec[]}
+ */
+function specsOf(runs, acting, options) {
+  const rates = { text: percent, isRate: true };
+  if (runs.length === 1) {
+    const curves = GROUPS.map((name, look) => ({ name, look, places: placesOf(runs[0], name, acting, options) }));
+    const known = curves.filter(({ places }) => places.length > 0);
+    const drawn = known.length > 0 ? known : [{ name: ALL, look: 0, places: placesOf(runs[0], ALL, acting, options) }];
+    const label = `Success by group over ${runs[0].passes.length} evaluations; newest: ${newest(drawn)}`;
+    return [{ ...rates, title: `${acting} actions`, label, curves: drawn, isTall: true }];
+  }
+  const all = [ALL, ...GROUPS].map((group) => ({
+    group, curves: runs.map((run, look) => ({ name: run.name, look, places: placesOf(run, group, acting, options) })),
+  }));
+  const known = all.filter(({ curves }) => curves.some(({ places }) => places.length > 0));
+  // A single group is all blueprints.
+  const shown = known.length === 2 ? known.slice(0, 1) : known;
+  return shown.map(({ group, curves }) => ({
+    ...rates, title: group === ALL ? "all blueprints" : group, label: `Success on ${group} by run; newest: ${newest(curves)}`, curves, isTall: group === ALL,
+  }));
+}
+
+export class Curves {
+  /**
+   * @param {HTMLElement} place
+   * @param {Options} options
+   */
+  constructor(place, options) {
+    this.place = place;
+    this.options = options;
+    this.charts = new Charts(element("div", { class: "charts" }), options);
+  }
+
+  /**
+   * Draws success by group. Before the first evaluation ends, shows the preliminary numbers of `now`, if any.
+   * @param {Run[]} runs
+   * @param {Acting} acting
+   * @param {{ success: Rate, text: string } | null} now
+   */
+  show(runs, acting, now) {
+    const evaluated = runs.map((run) => ({ ...run, passes: run.passes.filter((pass) => pass.all[acting]) }));
+    const n = Math.max(...evaluated.map(({ passes }) => passes.length));
+    if (n === 0) {
+      const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : "No evaluation yet; the first comes with the first weights.";
+      this.place.replaceChildren(element("p", { class: "empty" }, soFar));
+      return;
+    }
+    if (n === 1 && runs.length === 1) {
+      // The table below already shows all numbers.
+      this.place.replaceChildren();
+      return;
+    }
+    if (this.place.firstChild !== this.charts.place) this.place.replaceChildren(this.charts.place);
+    this.charts.show(specsOf(evaluated, acting, this.options));
+  }
 }
 
 /**
  * Shows the newest evaluation by group.
  * @param {HTMLTableElement} table
  * @param {History} history
+ * @param {boolean} isKey whether the groups are the curves above
  */
-export function drawGroups(table, history) {
+export function drawGroups(table, history, isKey) {
   const last = history.passes[history.passes.length - 1];
   if (!last) {
     table.replaceChildren();
@@ -103,40 +120,11 @@ export function drawGroups(table, history) {
   }
   const cells = (/** @type {Rate | null} */ rate) => (rate ? [percent(rate.rate), interval(rate), String(rate.n_episodes)] : ["–", "–", "–"]);
   const rows = [...last.groups, last.all].map((group) => {
-    const i = GROUPS.indexOf(group.name);
-    const dot = svg("svg", { class: "dot", viewBox: "0 0 22 12", "aria-hidden": "true" },
-      svg("line", { class: `curve g${i}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": DASHES[i] }));
-    const first = group.name === "all" ? ["all"] : [dot, group.name];
+    const look = GROUPS.indexOf(group.name);
+    const first = isKey && look >= 0 ? [sample(look), group.name] : [group.name];
     return [first, String(group.n_blueprints), ...cells(group.greedy), ...cells(group.sampled)];
   });
   const caption = `Newest evaluation: weights ${last.weights_version}, ${count(last.n_env_steps)} steps, took ${minutes(last.elapsed_s)}`;
   const heads = ["group", "blueprints", "greedy", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];
   fill(table, caption, heads, rows);
-}
-
-/**
- * Draws success on all blueprints against environment steps, several runs in one chart.
- * @param {HTMLElement} place
- * @param {{ name: string, history: History }[]} runs
- * @param {Acting} acting
- */
-export function drawBeside(place, runs, acting) {
-  const curves = runs.map(({ name, history }) => ({
-    name,
-    points: history.passes.filter((pass) => pass.all[acting]).map((pass) => ({ steps: pass.n_env_steps, rate: pass.all[acting].rate })),
-  }));
-  const newest = (/** @type {{ points: { rate: number }[] }} */ { points }) => (points.length > 0 ? percent(points[points.length - 1].rate) : "no evaluation");
-  const label = `Success over environment steps; at last: ${curves.map((curve) => `${curve.name} ${newest(curve)}`).join(", ")}`;
-  const { drawing, x, y } = rateAxes(place, Math.max(...curves.flatMap(({ points }) => points.map(({ steps }) => steps)), 1), label);
-  const names = curves.map((curve, i) => {
-    const [style, dashes] = [`g${i % GROUPS.length}`, DASHES[i % DASHES.length]];
-    const line = curve.points.map(({ steps, rate }) => `${x(steps)},${y(rate)}`).join(" ");
-    drawing.append(svg("polyline", { class: `curve ${style}`, "stroke-dasharray": dashes, points: line }));
-    curve.points.forEach(({ steps, rate }) => drawing.append(svg("circle", { class: style, cx: x(steps), cy: y(rate), r: 2.5 },
-      svg("title", {}, `${curve.name}, ${count(steps)} steps: ${percent(rate)}`))));
-    const dot = svg("svg", { class: "dot", viewBox: "0 0 22 12", "aria-hidden": "true" },
-      svg("line", { class: `curve ${style}`, x1: 0, x2: 22, y1: 6, y2: 6, "stroke-dasharray": dashes }));
-    return element("span", {}, dot, `${curve.name}: ${newest(curve)}`);
-  });
-  place.replaceChildren(drawing, element("p", { class: "options" }, ...names));
 }

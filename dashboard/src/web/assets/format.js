@@ -102,12 +102,12 @@ export function svg(name, attributes, ...children) {
  * Fills a table; the first cell of every row is its header, which may have several parts.
  * @param {HTMLTableElement} table
  * @param {string} caption
- * @param {string[]} heads
+ * @param {(string | (Node | string)[])[]} heads
  * @param {(Node | string | (Node | string)[])[][]} rows
  */
 export function fill(table, caption, heads, rows) {
-  const head = element("tr", {}, ...heads.map((text) => element("th", { scope: "col" }, text)));
+  const head = element("tr", {}, ...heads.map((parts) => element(parts === "" ? "td" : "th", parts === "" ? {} : { scope: "col" }, ...[parts].flat())));
   const body = rows.map(([first, ...rest]) =>
     element("tr", {}, element("th", { scope: "row" }, ...[first].flat()), ...rest.map((parts) => element("td", {}, ...[parts].flat()))));
-  table.replaceChildren(element("caption", {}, caption), element("thead", {}, head), element("tbody", {}, ...body));
+  table.replaceChildren(...(caption ? [element("caption", {}, caption)] : []), ...(heads.length ? [element("thead", {}, head)] : []), element("tbody", {}, ...body));
 }

@@ -1,7 +1,10 @@
 // The learner's metrics over time, live processes, and drop counts.
 
-import { count, decimal, element, fill, isNumber, svg } from "./format.js";
+import { Charts } from "./chart.js";
+import { count, decimal, fill, isNumber } from "./format.js";
 
+/** @import { Spec } from "./chart.js" */
+/** @import { Options, Run } from "./options.js" */
 /** @import { Actor, Draws, Learner, Point, Roster, Summary, Totals } from "./types" */
 
 /**
@@ -46,58 +49,58 @@ const OF_REWARDS = ["policy_loss", "value_loss", "entropy", "approx_kl", "explai
  */
 export function toPoint(learner) {
   /** @type {Point} */
-  const point = { n_env_steps: learner.n_env_steps, elapsed_s: learner.elapsed_s, weights_version: learner.weights_version };
+  const point = {
+    n_env_steps: learner.n_env_steps, n_episodes: learner.n_episodes, weights_version: learner.weights_version,
+    elapsed_s: Math.max(learner.elapsed_s, learner.run_elapsed_s || 0),
+  };
   for (const [name, , value] of HEALTH) point[name] = value(learner);
   return point;
 }
 
-/**
- * Draws a sparkline of one metric that shows the value under the pointer.
- * @param {Point[]} points
- * @param {string} name
- * @param {string} title
- */
-function spark(points, name, title) {
-  const [width, height] = [210, 46];
-  const known = points.filter((point) => isNumber(point[name]));
-  const values = known.map((point) => point[name]);
-  const [low, high] = [Math.min(...values), Math.max(...values)];
-  const [from, to] = [known[0].n_env_steps, known[known.length - 1].n_env_steps];
-  const x = (/** @type {number} */ steps) => (to > from ? ((steps - from) / (to - from)) * width : width);
-  const y = (/** @type {number} */ value) => (high > low ? 4 + (1 - (value - low) / (high - low)) * (height - 8) : height / 2);
-  const line = known.map((point) => `${x(point.n_env_steps).toFixed(1)},${y(point[name]).toFixed(1)}`).join(" ");
-  const now = decimal(values[values.length - 1]);
-  const label = `${title}: from ${decimal(low)} to ${decimal(high)}, now ${now}`;
-  const picture = svg("svg", { class: "spark", viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: "none", role: "img", "aria-label": label },
-    svg("polyline", { class: "curve g0", points: line }));
-  const value = element("b", {}, now);
-  picture.addEventListener("pointermove", (event) => {
-    const at = (event.offsetX / (picture.clientWidth || width)) * width;
-    const near = known.reduce((best, point) => (Math.abs(x(point.n_env_steps) - at) < Math.abs(x(best.n_env_steps) - at) ? point : best));
-    value.textContent = `${decimal(near[name])} at ${count(near.n_env_steps)} steps`;
-  });
-  picture.addEventListener("pointerleave", () => { value.textContent = now; });
-  const range = known.length === 1 ? "one value so far" : high > low ? `${decimal(low)} to ${decimal(high)}` : "constant";
-  return element("div", {}, element("h3", {}, title, value), picture, element("small", { class: "quiet" }, range));
-}
-
-/**
- * Draws the learner's charts.
- * @param {HTMLElement} place
- * @param {HTMLElement} note
- * @param {Point[]} points
- */
-export function drawHealth(place, note, points) {
-  if (points.length === 0) {
-    place.replaceChildren();
-    note.textContent = "No update yet.";
-    return;
+export class Health {
+  /**
+   * @param {HTMLElement} place
+   * @param {HTMLElement} note
+   * @param {Options} options
+   */
+  constructor(place, note, options) {
+    this.note = note;
+    this.options = options;
+    this.charts = new Charts(place, options);
   }
-  const tells = (/** @type {string} */ name, /** @type {number} */ value) => isNumber(value) && (value !== 0 || !OF_REWARDS.includes(name));
-  const charts = HEALTH.filter(([name]) => points.some((point) => tells(name, point[name])));
-  place.replaceChildren(...charts.map(([name, title]) => spark(points, name, title)));
-  const [first, last] = [points[0], points[points.length - 1]];
-  note.textContent = points.length === 1 ? `After ${count(last.n_env_steps)} environment steps.` : `From ${count(first.n_env_steps)} to ${count(last.n_env_steps)} environment steps. Point at a curve for its values.`;
+
+  /**
+   * Draws the learner's charts.
+   * @param {Run[]} runs
+   */
+  show(runs) {
+    const points = runs.flatMap((run) => run.points);
+    const tells = (/** @type {string} */ name, /** @type {number} */ value) => isNumber(value) && (value !== 0 || !OF_REWARDS.includes(name));
+    const shown = HEALTH.filter(([name]) => points.some((point) => tells(name, point[name])));
+    this.charts.show(shown.map(([name, title]) => this.spec(runs, name, title)));
+    const last = Math.max(...points.map((point) => point.n_env_steps));
+    this.note.textContent = points.length > 0 ? `Up to ${count(last)} environment steps.` : "No update yet.";
+  }
+
+  /**
+   * Returns the chart of one metric.
+   * @param {Run[]} runs
+   * @param {string} name
+   * @param {string} title
+   * @returns {Spec}
+   */
+  spec(runs, name, title) {
+    const { axis } = this.options;
+    const curves = runs.map((run, look) => ({
+      name: run.name, look, places: run.points.filter((point) => isNumber(point[name])).map((point) => ({ x: point[axis.name], y: point[name] })),
+    }));
+    const words = curves.filter(({ places }) => places.length > 0).map(({ name: run, places }) => {
+      const values = places.map(({ y }) => y);
+      const range = `from ${decimal(Math.min(...values))} to ${decimal(Math.max(...values))}, now ${decimal(values[values.length - 1])}`;
+      return curves.length > 1 ? `${run} ${range}` : range;
+    });
+    return { title, label: `${title}: ${words.join("; ")}`, curves, text: decimal, isRate: false, isTall: false };
+  }
 }
 
 /** @param {Totals} counts */

@@ -1,6 +1,6 @@
 // The heat map: one row per blueprint, one column per evaluation.
 
-import { $, count, percent } from "./format.js";
+import { $, count, element, percent } from "./format.js";
 
 /** @import { Acting, Counts, History, Pass, Row } from "./types" */
 
@@ -12,6 +12,10 @@ import { $, count, percent } from "./format.js";
 /** @typedef {{ row: number, column: number }} Cell */
 
 const FONT = "12px system-ui, sans-serif";
+/** The height of all rows if they fit, of a row with its name, and of the name of a group above its rows, pixels. */
+const [TALL, NAMED, HEAD] = [480, 14, 18];
+/** Largest mean width of a column, pixels: a few evaluations are no wall. */
+const WIDEST = 48;
 
 const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 
@@ -47,11 +51,13 @@ export class Heat {
 
   /**
    * @param {HTMLCanvasElement} canvas
+   * @param {HTMLElement} axis tells the environment steps
    * @param {HTMLElement} cellText tells the cell under the pointer
    * @param {(row: Row, pass: Pass) => void} opened called when the user opens a cell
    */
-  constructor(canvas, cellText, opened) {
+  constructor(canvas, axis, cellText, opened) {
     this.canvas = canvas;
+    this.axis = axis;
     this.cellText = cellText;
     this.opened = opened;
     canvas.addEventListener("pointermove", (event) => this.point(event));
@@ -59,6 +65,7 @@ export class Heat {
     canvas.addEventListener("pointerleave", () => this.move(null));
     canvas.addEventListener("keydown", (event) => this.key(event));
     canvas.addEventListener("click", () => this.open());
+    $("heat-whole").addEventListener("change", () => this.draw());
     new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     const scale = $("heat-scale");
@@ -99,7 +106,7 @@ export class Heat {
   }
 
   /**
-   * Places the rows on a canvas of this width, in pixels.
+   * Places rows and columns on a canvas of this width, in pixels.
    * @param {number} width
    */
   layout(width) {
@@ -107,30 +114,45 @@ export class Heat {
     pen.font = FONT;
     const longest = (/** @type {string[]} */ words) => Math.max(...words.map((word) => pen.measureText(word).width), 0);
     const n = Math.max(this.rows.length, 1);
-    const height = Math.max(Math.min(420 / n, 26), 4);
-    const names = height >= 12;
-    // On a phone there is no room for both; the names of other splits begin with theirs.
-    const hasGroups = !names || width >= 500;
-    const left = (hasGroups ? longest(this.rows.map((row) => row.group)) : 0) + (names ? longest(this.rows.map((row) => row.id)) + 12 : 0) + 8;
-    let y = 4;
+    $("heat-whole-label").hidden = n * NAMED <= TALL;
+    const names = n * NAMED <= TALL || !$("heat-whole").checked;
+    this.canvas.parentElement.classList.toggle("whole", !names);
+    const height = names ? Math.min(Math.max(TALL / n, NAMED), 26) : Math.max(TALL / n, 3);
+    const left = longest(this.rows.map((row) => (names ? row.id : row.group))) + 8;
+    let y = 0;
     /** @type {string | null} */
     let group = null;
     /** @type {{ name: string, y: number, end?: number }[]} */
     const groups = [];
     for (const row of this.rows) {
       if (row.group !== group) {
-        y += group === null ? 0 : 8;
+        y += group === null ? 0 : 6;
         group = row.group;
         groups.push({ name: group, y });
+        if (names) y += HEAD;
       }
       row.y = y;
       y += height;
       groups[groups.length - 1].end = y;
     }
-    // With few evaluations, limit the cell width. A single evaluation is drawn as bars across the full width.
-    const isOne = this.passes.length === 1;
-    const column = isOne ? width - left : Math.min((width - left) / Math.max(this.passes.length, 1), 180);
-    return { height, names, hasGroups, left, groups, column, isOne, total: y };
+    return { height, names, left, groups, edges: this.edges(left, width), isOne: this.passes.length === 1, total: Math.max(y, 20) };
+  }
+
+  /**
+   * Returns where the columns begin and end, pixels: each reaches from the steps of the evaluation before to its own, so
+   * that the last one ends with the last step.
+   * @param {number} left
+   * @param {number} width of the canvas
+   */
+  edges(left, width) {
+    const room = this.passes.length === 1 ? width - left : Math.min(width - left, this.passes.length * WIDEST);
+    const steps = this.passes.map((pass) => pass.n_env_steps);
+    const last = Math.max(steps[steps.length - 1], 1);
+    // An evaluation right after another one is still to be seen and clicked.
+    const widths = steps.map((step, i) => Math.max(((step - (steps[i - 1] || 0)) / last) * room, Math.min(4, room / steps.length)));
+    const sum = widths.reduce((total, one) => total + one, 0);
+    let at = left;
+    return [left, ...widths.map((one) => { at += (one / sum) * room; return at; })];
   }
 
   draw() {
@@ -139,66 +161,103 @@ export class Heat {
     if (width === 0) return;
     const at = this.layout(width);
     this.at = at;
-    const total = Math.max(at.total, 40) + 20;
     const ratio = window.devicePixelRatio || 1;
-    this.canvas.style.height = `${total}px`;
-    [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(total * ratio)];
+    this.canvas.style.height = `${at.total}px`;
+    [this.canvas.width, this.canvas.height] = [Math.round(width * ratio), Math.round(at.total * ratio)];
     const pen = this.canvas.getContext("2d");
     pen.scale(ratio, ratio);
     const style = getComputedStyle(document.documentElement);
     const color = (/** @type {string} */ name) => style.getPropertyValue(name);
     pen.font = FONT;
+    pen.textBaseline = "middle";
     pen.fillStyle = color("--quiet");
+    this.drawAxis();
+    $("heat-scale").parentElement.hidden = this.passes.length < 2;
     if (this.passes.length === 0) {
-      pen.fillText("No evaluation with these actions yet.", 0, 20);
+      pen.fillText("No evaluation with these actions yet.", 0, 10);
       return;
     }
-    const gap = at.column > 6 ? 1 : 0;
-    for (const row of this.rows) {
-      this.passes.forEach((pass, i) => {
-        const cell = pass[this.acting][row.place];
-        const x = Math.round((at.left + i * at.column) * ratio) / ratio;
-        const end = Math.round((at.left + (i + 1) * at.column) * ratio) / ratio;
-        const height = at.height - (at.height > 8 ? 1 : 0);
-        pen.fillStyle = cell && !at.isOne ? heatColor(cell[0] / cell[1]) : color("--none");
-        pen.fillRect(x, row.y, end - x - gap, height);
-        if (!cell || !at.isOne) return;
-        pen.fillStyle = heatColor(cell[0] / cell[1]);
-        // Draw a sliver even if all episodes failed.
-        pen.fillRect(x, row.y, Math.max((end - x - gap) * (cell[0] / cell[1]), 2), height);
-      });
-    }
-    pen.textBaseline = "middle";
     for (const group of at.groups) {
-      pen.fillStyle = color("--quiet");
-      if (at.hasGroups && (at.names || group.end - group.y >= 10)) pen.fillText(group.name, 0, at.names ? group.y + at.height / 2 : (group.y + group.end) / 2);
+      if (at.names) pen.fillText(group.name || "", 0, group.y + HEAD / 2);
+      else if (group.end - group.y >= 10) pen.fillText(group.name || "", 0, (group.y + group.end) / 2);
     }
+    if (at.isOne) this.drawBars(pen, color);
+    else this.drawCells(pen, ratio);
     if (at.names) {
       pen.fillStyle = color("--text");
       pen.textAlign = "right";
-      for (const row of this.rows) pen.fillText(row.id, at.left - 6, row.y + at.height / 2);
-    }
-    pen.fillStyle = color("--quiet");
-    pen.textBaseline = "alphabetic";
-    pen.textAlign = "left";
-    pen.fillText(`${count(this.passes[0].n_env_steps)} steps`, at.left, at.total + 15);
-    if (this.passes.length > 1 && at.column * this.passes.length > 160) {
-      pen.textAlign = "right";
-      const end = at.left + at.column * this.passes.length;
-      pen.fillText(`${count(this.passes[this.passes.length - 1].n_env_steps)} steps`, end, at.total + 15);
+      for (const row of this.rows) pen.fillText(row.id, at.left - 8, row.y + at.height / 2);
     }
     if (this.cursor) {
-      const row = this.rows[this.cursor.row];
+      const [row, x, end] = [this.rows[this.cursor.row], at.edges[this.cursor.column], at.edges[this.cursor.column + 1]];
       pen.strokeStyle = color("--text");
       pen.lineWidth = 2;
-      pen.strokeRect(at.left + this.cursor.column * at.column, row.y, Math.max(at.column - gap, 2), at.height);
+      pen.strokeRect(x + 1, row.y + 0.5, Math.max(end - x - 2, 2), Math.max(at.height - 1, 2));
     }
+  }
+
+  /**
+   * Draws a cell for every blueprint and evaluation; what was not evaluated stays empty.
+   * @param {CanvasRenderingContext2D} pen
+   * @param {number} ratio of the screen's pixels to the page's
+   */
+  drawCells(pen, ratio) {
+    const { edges, height } = this.at;
+    const gap = edges.length < 150 ? 1 : 0;
+    const crisp = edges.map((x) => Math.round(x * ratio) / ratio);
+    for (const row of this.rows) {
+      this.passes.forEach((pass, i) => {
+        const cell = pass[this.acting][row.place];
+        if (!cell) return;
+        pen.fillStyle = heatColor(cell[0] / cell[1]);
+        pen.fillRect(crisp[i], row.y, Math.max(crisp[i + 1] - crisp[i] - gap, 1), height - (height > 8 ? 1 : 0));
+      });
+    }
+  }
+
+  /**
+   * Draws the only evaluation as one bar for every blueprint, with its counts.
+   * @param {CanvasRenderingContext2D} pen
+   * @param {(name: string) => string} color
+   */
+  drawBars(pen, color) {
+    const { left, height, names, edges } = this.at;
+    const room = Math.min(edges[1] - left - 60, 240);
+    for (const row of this.rows) {
+      const cell = this.passes[0][this.acting][row.place];
+      const middle = row.y + height / 2;
+      pen.fillStyle = color("--line");
+      pen.fillRect(left, middle - 0.5, room, 1);
+      if (!cell) continue;
+      pen.fillStyle = color("--accent");
+      pen.fillRect(left, middle - Math.min(height / 4, 4), Math.max((cell[0] / cell[1]) * room, 2), Math.min(height / 2, 8));
+      pen.fillStyle = color("--quiet");
+      if (names) pen.fillText(`${cell[0]} of ${cell[1]}`, left + room + 8, middle);
+    }
+  }
+
+  /** Writes the environment steps of the columns below them. */
+  drawAxis() {
+    const { edges, isOne } = this.at;
+    /** @type {{ x: number, steps: number }[]} */
+    const marks = [];
+    // From the last one on, which always has its mark.
+    for (let i = this.passes.length - 1; i >= 0 && !isOne; i -= 1) {
+      const x = edges[i + 1];
+      if (marks.length === 0 || marks[marks.length - 1].x - x > 90) marks.push({ x, steps: this.passes[i].n_env_steps });
+    }
+    const one = isOne ? [{ x: edges[0] + 80, steps: this.passes[0].n_env_steps }] : marks;
+    this.axis.replaceChildren(...one.map(({ x, steps }, i) => {
+      const mark = element("span", {}, i === 0 ? `${count(steps)} steps` : count(steps));
+      mark.style.left = `${x}px`;
+      return mark;
+    }));
   }
 
   /** @param {PointerEvent} event */
   point(event) {
     if (!this.at || this.rows.length === 0) return;
-    const column = Math.floor((event.offsetX - this.at.left) / this.at.column);
+    const column = this.at.edges.findIndex((x, i) => event.offsetX >= x && event.offsetX < this.at.edges[i + 1]);
     const row = this.rows.findIndex((one) => event.offsetY >= one.y && event.offsetY < one.y + this.at.height);
     this.move(row >= 0 && column >= 0 && column < this.passes.length ? { row, column } : null);
   }
@@ -216,6 +275,7 @@ export class Heat {
     const clamp = (/** @type {number} */ value, /** @type {number} */ n) => Math.min(Math.max(value, 0), n - 1);
     const move = this.cursor ? step : [0, 0];
     this.move({ row: clamp(from.row + move[0], this.rows.length), column: clamp(from.column + move[1], this.passes.length) });
+    this.reveal();
   }
 
   /** @param {Cell | null} cursor */
@@ -230,5 +290,15 @@ export class Heat {
     const cell = pass[this.acting][row.place];
     const found = cell ? `${cell[0]} of ${cell[1]} episodes (${percent(cell[0] / cell[1])})` : "not evaluated";
     this.cellText.textContent = `${row.id}, ${row.split}, ${row.n_blocks} blocks, after ${count(pass.n_env_steps)} steps: ${found}`;
+  }
+
+  /** Scrolls to the chosen row. */
+  reveal() {
+    if (!this.cursor) return;
+    const box = this.canvas.parentElement;
+    const { y } = this.rows[this.cursor.row];
+    const first = y - (this.at.names ? HEAD : 0);
+    if (first < box.scrollTop) box.scrollTop = first;
+    else if (y + this.at.height > box.scrollTop + box.clientHeight) box.scrollTop = y + this.at.height - box.clientHeight;
   }
 }

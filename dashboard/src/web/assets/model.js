@@ -1,5 +1,6 @@
 // What the page knows, and where it asks for more.
 
+/** @import { Run } from "./options.js" */
 /** @import { About, Acting, Actor, History, Learner, Point, Roster, Summary } from "./types" */
 
 /** Whether this is a static copy of the page, where every response is a file and there is no server. */
@@ -14,6 +15,11 @@ export const model = {
   history: { blueprints: [], passes: [], n_left_out: 0, learner: [] },
   /** @type {Point[]} */
   points: [],
+  /**
+   * All runs of a page of several, once they are fetched.
+   * @type {Run[]}
+   */
+  beside: [],
   /** @type {Learner | null} */
   learner: null,
   /** @type {Summary | null} */

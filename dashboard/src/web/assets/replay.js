@@ -237,7 +237,9 @@ export class Replay {
     this.width = width;
     const isFull = this.parts.player.classList.contains("full") || document.fullscreenElement === this.parts.player;
     const each = this.main.parts.canvas.clientWidth;
-    const height = isFull ? "" : `${Math.round(Math.min(Math.max(each * 0.56, 300), 560, window.innerHeight * 0.66))}px`;
+    // On a phone, the goal needs room above the world.
+    const [share, least] = each > 480 ? [0.56, 300] : [1.15, 340];
+    const height = isFull ? "" : `${Math.round(Math.min(Math.max(each * share, least), 560, window.innerHeight * 0.66))}px`;
     for (const view of this.views) view.size(height);
   }
 

@@ -2,6 +2,7 @@
 // episode or drawing.
 
 import { Gripper } from "./grippers.js";
+import { Ground } from "./ground.js";
 import { Magnets, rgb } from "./magnets.js";
 import { entry } from "./solid.js";
 import {
@@ -25,6 +26,9 @@ const FRAME_M = 0.007;
 /** Margin factor around the fitted box, and minimum distance of automatic camera moves in meters. */
 const MARGIN = 1.06;
 const MIN_DISTANCE_M = 0.9;
+
+/** Width of a picture that has no room beside the goal's corner, pixels. */
+const NARROW = 480;
 
 const BACK_SIDE = 1;
 
@@ -164,6 +168,8 @@ export class Space {
     this.sun.shadow.mapSize.set(1024, 1024);
     this.sun.shadow.bias = -0.0004;
     this.sun.shadow.normalBias = 0.004;
+    this.sun.shadow.radius = 3;
+    this.ground = new Ground(this.scene);
     lit(this.corner).position.set(1.2, -1.6, 2.4);
     this.shade = new Mesh(new PlaneGeometry(40, 40), new ShadowMaterial({ opacity: 0.28 }));
     this.shade.receiveShadow = true;
@@ -185,7 +191,7 @@ export class Space {
   theme() {
     const style = getComputedStyle(document.documentElement);
     const color = (/** @type {string} */ name) => new Color(style.getPropertyValue(name).trim());
-    this.scene.background = color("--ground");
+    this.ground.paint(color("--ground"), color("--horizon"), color("--sky"));
     if (this.grid) dispose(this.scene, [this.grid]);
     this.grid = new GridHelper(12, 24, color("--line"), color("--line"));
     this.grid.rotation.x = Math.PI / 2;
@@ -364,10 +370,11 @@ export class Space {
     this.size = [width, height];
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
     this.renderer.setSize(width, height, false);
-    // The world is beside the goal's corner, where there is room for both.
-    const left = this.goal.length > 0 && width > 480 ? this.side() + 8 : 0;
-    this.camera.aspect = (width - left) / height;
-    this.camera.setViewOffset(width - left, height, -left, 0, width, height);
+    // The world is beside the goal's corner, or below it on a phone.
+    const taken = this.goal.length > 0 ? this.side() + 16 : 0;
+    const [left, top] = width > NARROW ? [taken, 0] : [0, taken];
+    this.camera.aspect = (width - left) / (height - top);
+    this.camera.setViewOffset(width - left, height - top, -left, -top, width, height);
   }
 
   /** Returns the width and height of the goal's corner, pixels. */
@@ -387,6 +394,8 @@ export class Space {
     const light = this.sun.shadow.camera;
     [light.left, light.right, light.bottom, light.top, light.near, light.far] = [-spread, spread, -spread, spread, 0.1, 12];
     light.updateProjectionMatrix();
+    this.ground.surround(this.camera, target);
+    this.ground.shade(this.blocks);
     this.renderer.setScissorTest(false);
     this.renderer.setViewport(0, 0, width, height);
     this.renderer.clear();

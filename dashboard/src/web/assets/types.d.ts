@@ -63,6 +63,8 @@ export interface Point {
   n_env_steps: number;
   elapsed_s: number;
   weights_version: number;
+  /** Episodes that ended so far. */
+  n_episodes: number;
   [metric: string]: number;
 }
 
@@ -87,6 +89,7 @@ export interface Draws {
 export interface Learner {
   weights_version: number;
   n_env_steps: number;
+  n_episodes: number;
   elapsed_s: number;
   /** Longer than `elapsed_s` if the run was resumed. */
   run_elapsed_s?: number;
@@ -130,6 +133,17 @@ export interface Roster {
   evaluators: string[];
 }
 
+/** What produced a run; what is unknown is left out. */
+export interface Origin {
+  settings: Record<string, any>;
+  command?: string[];
+  seed?: number;
+  commit?: string;
+  lodestone_version?: string;
+  started_utc?: string;
+  resumed_from?: string;
+}
+
 /** `/api/about`; `recorded` is only in a static copy. */
 export interface About {
   kind: "training" | "play" | "finished";
@@ -143,6 +157,7 @@ export interface About {
   gripper_colors: Rgb[];
   runs: { name: string; base: string }[];
   farewell: { ended: string; command: string | null } | null;
+  origin: Origin | null;
   recorded?: string[];
 }
 
@@ -265,6 +280,11 @@ export interface Hit {
 /** The ids in page.html of elements with more properties than others. */
 interface Elements {
   "beside": HTMLCanvasElement;
+  "chart-axis": HTMLSelectElement;
+  "chart-log-x": HTMLInputElement;
+  "chart-log-y": HTMLInputElement;
+  "chart-smoothing": HTMLInputElement;
+  "chart-whole": HTMLButtonElement;
   "draw-canvas": HTMLCanvasElement;
   "draw-copy": HTMLButtonElement;
   "draw-expert": HTMLButtonElement;
@@ -279,6 +299,7 @@ interface Elements {
   "groups": HTMLTableElement;
   "heat": HTMLCanvasElement;
   "heat-find": HTMLInputElement;
+  "heat-whole": HTMLInputElement;
   "heat-scale": HTMLCanvasElement;
   "replay": HTMLCanvasElement;
   "replay-ask": HTMLButtonElement;
