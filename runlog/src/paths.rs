@@ -1,5 +1,6 @@
 //! Paths of a run's files.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use proto::Role;
@@ -51,6 +52,23 @@ impl RunPaths {
     /// Returns the file of the run's best policy so far, in a folder of its own beside the checkpoints.
     pub fn best(&self) -> PathBuf {
         self.checkpoints().join("best").join(BEST_POLICY)
+    }
+
+    /// Returns the folder of the [`snapshots`](Self::snapshots).
+    pub fn snapshot_folder(&self) -> PathBuf {
+        self.0.join("snapshots")
+    }
+
+    /// Returns the file of the weights after so many environment steps, kept to show how the run learned.
+    pub fn snapshot(&self, n_env_steps: u64) -> PathBuf {
+        self.snapshot_folder().join(format!("{n_env_steps}.safetensors"))
+    }
+
+    /// Reads from the disk which snapshots there are, by their environment steps.
+    pub fn snapshots(&self) -> BTreeMap<u64, PathBuf> {
+        let entries = std::fs::read_dir(self.snapshot_folder()).into_iter().flatten().flatten();
+        let named = |path: PathBuf| Some((path.file_stem()?.to_str()?.parse().ok()?, path));
+        entries.filter_map(|entry| named(entry.path()).filter(|(n, path)| *path == self.snapshot(*n))).collect()
     }
 
     /// Returns the file with one line of JSON per update and per evaluation; see

@@ -4,11 +4,15 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use runlog::RunPaths;
 use serde_json::Value;
 
 use crate::support::program::lodestone;
 use crate::support::served::{Process, get, train};
 use crate::support::webdriver::Browser;
+
+/// The Home key, as a private-use code point of the WebDriver protocol.
+const HOME: &str = "\u{e011}";
 
 /// Creates two short runs in the folder, `first` and `second`. A run this short may end before any evaluation except
 /// that of its last weights, so that one is enabled.
@@ -74,6 +78,55 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").starts_with("The policy builds "), "{}", browser.text("#replay-note"));
     assert_eq!(complaints(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_side() {
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = lodestone(folder.path());
+    let trained = train(&mut command).args(["--no-web", "--steps", "2048", "--set", "evaluator.every={versions=1}"]);
+    assert!(trained.output().unwrap().status.success());
+    let kept: Vec<u64> = RunPaths::new(folder.path().join("run")).snapshots().into_keys().collect();
+    let (first, last) = (kept[0], kept[kept.len() - 1]);
+    assert!(first < last, "{kept:?}");
+    let (_server, address) = serve(lodestone(folder.path()).args(["serve", "run"]), "page at ", "\n");
+    let browser = Browser::start(&driver, folder.path());
+    browser.open(&format!("{address}?blueprint=2_000&seed=3&snapshot={last}"));
+    let builds = |after: u64| {
+        browser.until(&format!("replay.episode?.caption?.startsWith('policy, after {after} steps')"));
+        browser.run("return [replay.episode.weights_version, replay.episode.scenes[0].blocks]")
+    };
+    let (of_last, slider) = (builds(last), browser.element("#snapshot"));
+    // The slider goes back to the first one, which builds from the same start.
+    slider.press(HOME);
+    let of_first = builds(first);
+    assert_eq!(of_first[1], of_last[1]);
+    assert_ne!(of_first[0], of_last[0]);
+    browser.until(&format!("location.search.includes('seed=3') && location.search.includes('snapshot={first}')"));
+    // Beside it builds the policy of the run, with its own weights, in step.
+    browser.element("#snapshot-beside").click();
+    browser.until("replay.views[1]?.episode.caption === `policy, the run's policy`");
+    let both = browser.run("return replay.views.map(({ episode }) => episode.weights_version)");
+    assert_eq!(both[0], of_first[0]);
+    browser.until("location.search.includes('beside=policy')");
+    browser.element("#snapshot-beside").click();
+    browser.until("replay.views.length === 1");
+    // All of them follow each other, up to the policy of the run.
+    browser.element("#snapshot-through").click();
+    browser.until("snapshots.isThrough && replay.episode.scenes.length > 0");
+    browser.run("setInterval(() => { if (replay.playing) replay.seek(replay.n); }, 50)");
+    browser.until("!snapshots.isThrough && snapshots.chosen === null && replay.time === replay.n");
+    // A link to one that is not there says so.
+    browser.open(&format!("{address}?blueprint=2_000&snapshot=1"));
+    browser.until("document.querySelector('#replay-note').textContent.startsWith('there is no snapshot after 1 ')");
+    assert!(complaints(&browser).iter().all(|entry| entry["source"] == "network"));
+    // Other commands read a snapshot as well.
+    let (kept, eval) =
+        (format!("run/snapshots/{first}.safetensors"), ["eval", "--episodes", "1", "--blueprint", "2_000"]);
+    let report = lodestone(folder.path()).args(eval).args(["--json", "--checkpoint", &kept]).output().unwrap();
+    let report: Value = serde_json::from_slice(&report.stdout).unwrap();
+    assert_eq!(report["summary"]["n_env_steps"], first);
 }
 
 #[test]

@@ -115,6 +115,7 @@ fn of_run(run: Shown, names: &[String]) -> Router {
         .route("/api/events", get(events))
         .route("/api/play", get(stage::play).post(stage::play_drawn))
         .route("/api/play.mp4", get(stage::play_video))
+        .route("/api/snapshots", get(stage::snapshots))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
         .route("/api/videos", get(list_videos))

@@ -14,6 +14,8 @@ use blueprints::{Blueprint, BlueprintId, Catalog};
 use parking_lot::Mutex;
 use proto::{ActionMode, Trajectory};
 use render::video::{Episode, Video, mp4};
+use runlog::RunPaths;
+use serde_json::json;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
@@ -49,6 +51,8 @@ pub struct Order {
     pub acting: ActionMode,
     /// Seed of the initial state and of sampled actions.
     pub seed: u64,
+    /// Environment steps of the run's snapshot that acts; `None` for the newest weights.
+    pub snapshot: Option<u64>,
 }
 
 /// Why no episode is returned.
@@ -57,6 +61,9 @@ pub enum StageError {
     /// No weights have arrived yet.
     #[error("no weights came yet; ask again in a moment, or let the expert build")]
     NoWeights,
+    /// The run has no such snapshot, or not any longer.
+    #[error("there is no snapshot after {0} environment steps: /api/snapshots lists them")]
+    NoSnapshot(u64),
     /// The requester has disconnected.
     #[error("the episode is no longer wanted")]
     Unwanted,
@@ -72,6 +79,8 @@ type Play = dyn Fn(&Order, &(dyn Fn() -> bool + Sync)) -> Result<Trajectory, Sta
 #[derive(Clone)]
 pub struct Stage {
     play: Arc<Play>,
+    /// The run whose snapshots can act.
+    run: Option<RunPaths>,
     turn: Arc<Semaphore>,
     /// The episode that every browser requests first, and its response.
     opening: Arc<Mutex<Option<(Order, Bytes)>>>,
@@ -84,11 +93,13 @@ impl fmt::Debug for Stage {
 }
 
 impl Stage {
-    /// Creates a stage that plays episodes with `play`, which is called on blocking threads.
+    /// Creates a stage that plays episodes, also with snapshots of `run`, with `play`, which is called on blocking
+    /// threads.
     pub fn new(
+        run: Option<RunPaths>,
         play: impl Fn(&Order, &(dyn Fn() -> bool + Sync)) -> Result<Trajectory, StageError> + Send + Sync + 'static,
     ) -> Self {
-        Self { play: Arc::new(play), turn: Arc::new(Semaphore::new(1)), opening: Arc::default() }
+        Self { play: Arc::new(play), run, turn: Arc::new(Semaphore::new(1)), opening: Arc::default() }
     }
 
     /// Plays the episode that the page opens with, so that it is ready when a browser requests it.
@@ -107,10 +118,12 @@ struct Wishes<'q> {
     builder: Builder,
     acting: ActionMode,
     seed: u64,
+    snapshot: Option<u64>,
 }
 
 impl<'q> Wishes<'q> {
-    /// Parses `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…`. All parameters are optional.
+    /// Parses `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…&snapshot=…`. All parameters are
+    /// optional.
     fn parse(query: &'q str) -> Result<Self, String> {
         let mut wishes = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
@@ -121,14 +134,15 @@ impl<'q> Wishes<'q> {
                 Some(("agent", "expert")) => wishes.builder = Builder::Expert,
                 Some(("mode", "greedy")) => wishes.acting = ActionMode::Greedy,
                 Some(("mode", "sampled")) => wishes.acting = ActionMode::Sampled,
-                Some(("seed", value)) => {
-                    wishes.seed = value.parse().map_err(|_| format!("seed={value} is no number"))?;
-                }
+                Some(("seed", value)) => wishes.seed = number("seed", value)?,
+                Some(("snapshot", value)) => wishes.snapshot = Some(number("snapshot", value)?),
                 Some((key @ ("agent" | "mode"), value)) => {
                     let known = if key == "agent" { "policy or expert" } else { "greedy or sampled" };
                     return Err(format!("{key}={value} is not known: use {known}"));
                 }
-                _ => return Err(format!("`{pair}` is not known: use blueprint, after, agent, mode and seed")),
+                _ => {
+                    return Err(format!("`{pair}` is not known: use blueprint, after, agent, mode, seed and snapshot"));
+                }
             }
         }
         Ok(wishes)
@@ -143,8 +157,13 @@ impl<'q> Wishes<'q> {
     }
 
     fn of(self, blueprint: Blueprint, before: Vec<Blueprint>) -> Order {
-        Order { blueprint, before, builder: self.builder, acting: self.acting, seed: self.seed }
+        let Self { builder, acting, seed, snapshot, .. } = self;
+        Order { blueprint, before, builder, acting, seed, snapshot }
     }
+}
+
+fn number(key: &str, value: &str) -> Result<u64, String> {
+    value.parse().map_err(|_| format!("{key}={value} is no number"))
 }
 
 /// Returns the blueprint, or an error message about its id.
@@ -230,6 +249,19 @@ pub(super) async fn play_drawn(
     }
 }
 
+/// Lists the snapshots by their environment steps.
+pub(super) async fn snapshots(Extension(stage): Extension<Option<Stage>>) -> Response {
+    let run = stage.and_then(|stage| stage.run);
+    let list = move || run.map(|run| run.snapshots().into_keys().collect::<Vec<_>>()).unwrap_or_default();
+    match tokio::task::spawn_blocking(list).await {
+        Ok(all) => {
+            let answer = json!({ "schema_version": 1, "snapshots": all });
+            ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
+        }
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}
+
 fn nothing_is_played() -> Response {
     (StatusCode::NOT_FOUND, "nothing is played here\n").into_response()
 }
@@ -294,6 +326,7 @@ async fn perform(stage: Stage, order: Order, form: Form, opens: bool) -> Respons
         Ok(Err(error @ StageError::NoWeights)) => {
             (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "1")], format!("{error}\n")).into_response()
         }
+        Ok(Err(error @ StageError::NoSnapshot(_))) => refused(error.to_string()),
         Ok(Err(error)) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error}\n")).into_response(),
         Err(error) => {
             tracing::warn!(%error, "an episode could not be played");
@@ -314,6 +347,8 @@ mod tests {
         assert_eq!((order.acting, order.seed), (ActionMode::Sampled, 7));
         let plain = Order::named("blueprint=2_000", catalog).unwrap();
         assert_eq!((plain.builder, plain.acting, plain.seed), (Builder::Policy, ActionMode::Greedy, 0));
+        assert_eq!(plain.snapshot, None);
+        assert_eq!(Order::named("blueprint=2_000&snapshot=0", catalog).unwrap().snapshot, Some(0));
         let third = Order::named("blueprint=2_000&after=2_001,2_000", catalog).unwrap();
         assert_eq!(third.before.iter().map(|goal| goal.id().as_str()).collect::<Vec<_>>(), ["2_001", "2_000"]);
         let many = format!("blueprint=2_000&after={}", ["2_000"; MAX_IN_A_ROW].join(","));
@@ -326,11 +361,30 @@ mod tests {
             (&many, "more than 9 goals"),
             ("blueprint=2_000&agent=me", "agent=me is not known: use policy or expert"),
             ("blueprint=2_000&mode=", "mode= is not known: use greedy or sampled"),
-            ("blueprint=2_000&speed=2", "`speed=2` is not known: use blueprint, after, agent, mode and seed"),
+            ("blueprint=2_000&speed=2", "`speed=2` is not known: use blueprint, after, agent, mode, seed and snapshot"),
+            ("blueprint=2_000&snapshot=last", "snapshot=last is no number"),
         ] {
             let reason = Order::named(query, catalog).unwrap_err();
             assert!(reason.contains(words), "{query}: {reason}");
         }
+    }
+
+    #[tokio::test]
+    async fn snapshots_are_listed_and_one_that_is_not_there_is_the_askers_mistake() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunPaths::new(dir.path());
+        std::fs::create_dir(run.snapshot_folder()).unwrap();
+        for name in ["77.safetensors", "5.safetensors", ".X.part", "077.safetensors"] {
+            std::fs::write(run.snapshot_folder().join(name), "").unwrap();
+        }
+        let stage = Stage::new(Some(run), |order, _| Err(StageError::NoSnapshot(order.snapshot.unwrap())));
+        let text = async |answer: Response| axum::body::to_bytes(answer.into_body(), 1000).await.unwrap();
+        let listed = snapshots(Extension(Some(stage.clone()))).await;
+        assert_eq!(text(listed).await, "{\"schema_version\":1,\"snapshots\":[5,77]}");
+        let order = Order::named("blueprint=2_000&snapshot=6", Catalog::builtin()).unwrap();
+        let answer = perform(stage, order, Form::Video, false).await;
+        assert_eq!(answer.status(), StatusCode::BAD_REQUEST);
+        assert!(text(answer).await.starts_with(b"there is no snapshot after 6 environment steps"));
     }
 
     #[test]

@@ -48,7 +48,7 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
     let farewell = Farewell { ended: "the run", command: Some("a command".to_owned()) };
     let about = About { farewell, ..about(Kind::Training, "r", 5000, Catalog::builtin().clone()) };
-    let stage = Stage::new(|order, _| match order.builder {
+    let stage = Stage::new(None, |order, _| match order.builder {
         Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
         Builder::Policy => Err(StageError::NoWeights),
     });

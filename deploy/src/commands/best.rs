@@ -1,8 +1,9 @@
-//! The best policy of a run, `checkpoints/best/`, chosen by the evaluator's verdict.
+//! What an evaluator keeps of a run's weights: the best policy, `checkpoints/best/`, chosen by its verdict, and
+//! snapshots, `snapshots/`, which show how the run learned.
 
-use proto::Valid;
+use proto::{Valid, Weights};
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use evaluator::{PolicyConfig, Scored, Verdict};
@@ -33,8 +34,13 @@ pub(super) fn verdict_of(model: &Model) -> Option<Verdict> {
     serde_json::from_value(model.verdict.clone()?).ok()
 }
 
+/// Largest number of snapshots of a run, and the most that more than two of them take together in bytes.
+const MAX_SNAPSHOTS: usize = 12;
+const MAX_SNAPSHOT_BYTES: usize = 64 << 20;
+
 struct Keeper {
     policy: Valid<PolicyConfig>,
+    paths: RunPaths,
     path: PathBuf,
     /// The verdict on the policy in the file.
     kept: Option<Verdict>,
@@ -46,8 +52,9 @@ impl Keeper {
     fn new(policy: Valid<PolicyConfig>, paths: &RunPaths) -> Self {
         let path = paths.best();
         // What a killed process left of a file that it was writing.
-        let entries = path.parent().and_then(|folder| fs::read_dir(folder).ok()).into_iter().flatten().flatten();
-        for left in entries.filter(|entry| entry.path() != path) {
+        let folders = [path.with_file_name(""), paths.snapshot_folder()];
+        let entries = folders.iter().filter_map(|folder| fs::read_dir(folder).ok()).flatten().flatten();
+        for left in entries.filter(|entry| entry.path().extension().is_some_and(|kind| kind == "part")) {
             drop(fs::remove_file(left.path()));
         }
         // A file that cannot be read is replaced by the next policy.
@@ -58,10 +65,14 @@ impl Keeper {
                 None
             }
         });
-        Self { policy, path, kept, waiting: None }
+        Self { policy, paths: paths.clone(), path, kept, waiting: None }
     }
 
     fn offer(&mut self, new: Scored) {
+        if let Err(error) = self.snap(&new.weights) {
+            let n_env_steps = new.weights.n_env_steps;
+            tracing::warn!(error = format!("{error:#}"), n_env_steps, "a snapshot cannot be kept");
+        }
         // Neither untrained weights nor those that build nothing are better than what comes after them.
         if new.weights.n_env_steps == 0 || new.verdict.success.n_successes == 0 {
             return;
@@ -77,26 +88,41 @@ impl Keeper {
         }
     }
 
+    /// Keeps a snapshot. Of too many, removes those that leave the smallest gaps, but neither the first nor the last.
+    fn snap(&self, weights: &Weights) -> anyhow::Result<()> {
+        let bytes = Model::new(&self.policy, weights).to_bytes()?;
+        let most = (MAX_SNAPSHOT_BYTES / bytes.len()).clamp(2, MAX_SNAPSHOTS);
+        write(&self.paths.snapshot(weights.n_env_steps), &bytes)?;
+        let mut kept: Vec<_> = self.paths.snapshots().into_iter().collect();
+        while kept.len() > most {
+            let gap = |i: &usize| kept[i + 1].0 - kept[i - 1].0;
+            let (_, path) = kept.remove((1..kept.len() - 1).min_by_key(gap).context("there is one between")?);
+            fs::remove_file(&path).with_context(|| format!("removing {}", path.display()))?;
+        }
+        Ok(())
+    }
+
     fn write(&self, Scored { weights, verdict }: &Scored) -> anyhow::Result<()> {
         let mut model = Model::new(&self.policy, weights);
         model.verdict = Some(serde_json::to_value(verdict)?);
-        let bytes = model.to_bytes()?;
-        let folder = self.path.parent().context("the file is in a folder")?;
-        fs::create_dir_all(folder)
-            .and_then(|()| replace(&self.path, &bytes, PLAIN))
-            .with_context(|| format!("writing {}", self.path.display()))?;
+        write(&self.path, &model.to_bytes()?)?;
         tracing::info!(path = %self.path.display(), n_env_steps = weights.n_env_steps, "the best so far: {verdict}");
         Ok(())
     }
 }
 
+/// Replaces a file, in a folder that need not exist yet.
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let written = fs::create_dir_all(path.with_file_name("")).and_then(|()| replace(path, bytes, PLAIN));
+    written.with_context(|| format!("writing {}", path.display()))
+}
+
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
     use std::sync::Arc;
 
     use proto::wilson::SuccessRate;
-    use proto::{ActionMode, Weights, WeightsVersion};
+    use proto::{ActionMode, WeightsVersion};
 
     use super::*;
 
@@ -140,6 +166,23 @@ mod tests {
         fs::write(paths.best(), "damaged").unwrap();
         start().offer(evaluated(700, 1));
         assert_eq!(kept(), Some(700));
+    }
+
+    #[test]
+    fn snapshots_are_spread_over_the_run_and_few() {
+        let folder = tempfile::tempdir().unwrap();
+        let paths = RunPaths::new(folder.path());
+        fs::create_dir_all(paths.snapshot_folder()).unwrap();
+        for other in [".X.part", "mine.safetensors"] {
+            fs::write(paths.snapshot_folder().join(other), "half").unwrap();
+        }
+        let mut keeper = Keeper::new(shipped().policy, &paths);
+        (0..=40).for_each(|n| keeper.offer(evaluated(100 * n, 0)));
+        let kept: Vec<u64> = paths.snapshots().into_keys().collect();
+        assert_eq!((kept.len(), kept[0], kept[MAX_SNAPSHOTS - 1]), (MAX_SNAPSHOTS, 0, 4000));
+        assert!(kept.array_windows().all(|[a, b]| b - a <= 800), "{kept:?}");
+        assert_eq!(Model::read(&paths.snapshot(kept[1])).unwrap().weights.n_env_steps, kept[1]);
+        assert_eq!(fs::read_dir(paths.snapshot_folder()).unwrap().count(), MAX_SNAPSHOTS + 1, "the user's file stays");
     }
 
     #[test]

@@ -251,8 +251,12 @@ fn check_unchanged(folder: &Path, kept: &Catalog) -> Result<(), Failure> {
 
 /// The folder with the blueprints kept with a run, if it exists; `path` is the run's folder or a path in it.
 fn blueprints_of_run(path: &Path) -> Option<PathBuf> {
-    let run = path.ancestors().take(5).map(RunPaths::new).find(|run| run.config().exists())?;
-    Some(run.blueprints()).filter(|folder| folder.is_dir())
+    Some(run_of(path)?.blueprints()).filter(|folder| folder.is_dir())
+}
+
+/// Returns the run that this is the folder of, or that has the file or folder.
+pub(super) fn run_of(path: &Path) -> Option<RunPaths> {
+    path.ancestors().take(5).map(RunPaths::new).find(|run| run.config().exists())
 }
 
 /// What was inferred to complete the files and folders among `named`, one line each.

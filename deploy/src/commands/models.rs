@@ -80,7 +80,9 @@ impl Source {
         // Anything but a folder, so that a device is refused for what it holds.
         if path.exists() && !path.is_dir() {
             let model = Model::read(path).map_err(unusable)?;
-            return Ok(Self { model, config: (String::new(), "the defaults".to_owned()) });
+            let is_snapshot = path.parent().is_some_and(|folder| folder.ends_with("snapshots"));
+            let config = is_snapshot.then(|| run_config(path)).transpose()?;
+            return Ok(Self { model, config: config.unwrap_or((String::new(), "the defaults".to_owned())) });
         }
         if let Some(best) = Self::best(path) {
             return best;

@@ -12,7 +12,7 @@ use proto::{Valid, Weights};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::Goals;
+use super::goals::{Goals, run_of};
 use super::models::Source;
 use super::{common::join_bus, services};
 use crate::cli::PlayArgs;
@@ -94,9 +94,10 @@ pub(super) async fn run(
     if let Some(page) = page.as_ref().filter(|_| !args.no_open) {
         open(&format!("http://{}", page.address()));
     }
+    let run = args.checkpoint.as_deref().and_then(run_of);
     // So that the first episode does not wait for the bus.
     let first = Some(weights.clone());
-    let page = page.map(|page| services::Opened { page, about: about(args, program), first });
+    let page = page.map(|page| services::Opened { page, about: about(args, program), first, run });
     let kept = args.run_dir.as_deref();
     let run_dir = kept.map(|folder| RunDir::create(Some(folder), config, None, &Origin::default())).transpose()?;
     terminal.print(&match &run_dir {

@@ -97,7 +97,8 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let weights = model.map(|source| Arc::new(source.model.weights));
     let (_, newest) = watch::channel(weights.clone());
     // Without weights, a browser would wait for an episode forever.
-    let stage = weights.is_some().then(|| stage(Config::evaluation_environment(&config), policy.clone(), newest));
+    let environment = Config::evaluation_environment(&config);
+    let stage = weights.is_some().then(|| stage(environment, policy.clone(), newest, Some(paths.clone())));
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.catalog().clone();
     let blueprints = config.evaluator.selection.blueprints.clone();

@@ -129,7 +129,8 @@ pub(super) async fn run_evaluator(
     let opened = page(web(config), terminal).await?;
     let command = args.run_dir.clone().map(|run_dir| serve::command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };
-    let page = opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None });
+    let page =
+        opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None, run: None });
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let (progress, counted) = watch::channel(None);
@@ -211,6 +212,8 @@ pub(super) struct Opened {
     pub(super) about: About,
     /// The weights that act until others arrive.
     pub(super) first: Option<Arc<Weights>>,
+    /// The run whose snapshots act, if it is not the one that the evaluator keeps.
+    pub(super) run: Option<RunPaths>,
 }
 
 /// Describes a training for its page; `catalog` has all of its goals.
@@ -305,9 +308,10 @@ impl Opened {
         passes: mpsc::UnboundedReceiver<Pass>,
         weights: watch::Receiver<Option<Arc<Weights>>>,
     ) -> (Page, Source) {
-        let Self { page, about, .. } = self;
+        let Self { page, about, run: other, .. } = self;
         let (policy, run) = (setup.policy.clone(), setup.records.clone());
-        let stage = Some(stage(setup.environment.clone(), policy.clone(), weights.clone()));
+        let stage = stage(setup.environment.clone(), policy.clone(), weights.clone(), other.or_else(|| run.clone()));
+        let stage = Some(stage);
         (page, Source { passes, weights, policy, run, about, stage })
     }
 }

@@ -163,7 +163,7 @@ async fn prepare(
     let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
     let origin = origin_of(&RunPaths::new(run_dir.path()), config);
     let about = About { preset, origin, ..services::about(settings, catalog, last_words) };
-    let page = page.map(|page| services::Opened { page, about, first: None });
+    let page = page.map(|page| services::Opened { page, about, first: None, run: None });
     Ok(Prepared { setup, run_dir, page, health })
 }
 

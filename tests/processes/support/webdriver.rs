@@ -23,7 +23,7 @@ const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
 /// The parts of the page that tests look into.
 const PAGE: &str = "
     const from = (name) => import(new URL(name, document.baseURI).href);
-    const { curves, editor, health, heat, replay } = await from('app.js');
+    const { curves, editor, health, heat, replay, snapshots } = await from('app.js');
     const { model } = await from('model.js');
     const { apart3, placed } = await from('solid.js');
 ";

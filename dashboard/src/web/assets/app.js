@@ -13,6 +13,7 @@ import { ChosenOptions } from "./options.js";
 import { drawOrigins } from "./origin.js";
 import { Replay, askReplay, openRecording } from "./replay.js";
 import { copyLink, savePicture } from "./share.js";
+import { Snapshots } from "./snapshots.js";
 import { Stage } from "./stage.js";
 import { Terms } from "./terms.js";
 
@@ -41,7 +42,11 @@ const replay = new Replay({
     part: $("replay-attention"), choice: $("replay-eye"), strip: $("replay-strip"), note: $("replay-attention-note"),
   }, () => replay.draw()),
 });
-const stage = new Stage(replay, {
+const snapshots = new Snapshots({
+  bar: $("snapshot-bar"), slider: $("snapshot"), text: $("snapshot-text"), through: $("snapshot-through"),
+  beside: $("snapshot-beside"), others: $("snapshot-others"), other: $("snapshot-other"), otherText: $("snapshot-other-text"),
+}, () => stage.again());
+const stage = new Stage(replay, snapshots, {
   choose: $("stage-choose"), previous: $("stage-previous"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), both: $("stage-both"), mode: $("stage-mode"), success: $("stage-success"),
   onward: $("stage-onward"), keep: $("stage-keep"), video: $("stage-video"), shared: $("stage-shared"), note: $("replay-note"), dialog: $("gallery"),
 });
@@ -55,7 +60,7 @@ const editor = new Editor(stage, {
  * The address of nothing on the stage.
  * @type {Values}
  */
-const NOTHING = { blueprint: null, agent: null, both: null, mode: null, seed: null, after: null, recording: null, step: null };
+const NOTHING = { blueprint: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, recording: null, step: null };
 const openVideo = (/** @type {Video} */ { id }) => {
   address.set({ ...NOTHING, recording: id }, true);
   stage.shown = null;
@@ -121,6 +126,7 @@ function draw() {
     heat.show(model.history, model.acting);
     curves.show(runs(), model.acting, underWay());
     drawGroups($("groups"), model.history, model.beside.length < 2);
+    snapshots.draw();
   }
   if (parts.has("learner") && $("learner")) {
     $("learner").hidden = model.points.length === 0 && model.about !== null && model.about.kind === "finished";
@@ -193,12 +199,13 @@ function introduce(about) {
   about.gripper_colors.forEach((color, i) => document.documentElement.style.setProperty(`--gripper${i}`, `rgb(${color.join(",")})`));
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
   if (!about.can_play) {
-    ["stage-bar", "draw"].forEach((id) => $(id).remove());
+    ["stage-bar", "snapshot-bar", "draw"].forEach((id) => $(id).remove());
     $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its videos.";
   }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
   else drawOrigins($("origin"), [{ name: about.run, origin: about.origin }]);
+  snapshots.learn();
   const isRestored = restore();
   if (about.kind === "play") {
     $("learner").remove();
@@ -356,6 +363,7 @@ function listen() {
   on("roster", gathered);
   on("pass", () => {
     askHistory();
+    snapshots.learn();
     // Clips are rendered one by one after the evaluation.
     [5, 20, 60].forEach((seconds) => setTimeout(() => askVideos($("videos"), $("videos-note"), openVideo), 1000 * seconds));
   });
@@ -415,4 +423,4 @@ async function begin() {
 begin();
 
 // For tests in a browser.
-export { curves, editor, health, heat, replay };
+export { curves, editor, health, heat, replay, snapshots };

@@ -8,6 +8,7 @@ import { present } from "./replay.js";
 import { saveVideo } from "./share.js";
 
 /** @import { Replay } from "./replay.js" */
+/** @import { Snapshots, Weights } from "./snapshots.js" */
 /** @import { Acting, Agent, Blueprint, Episode } from "./types" */
 
 /** Pause before the next episode starts automatically, milliseconds. */
@@ -15,6 +16,11 @@ const REST_MS = 2500;
 
 /** Maximum number of goals in a row without a reset, as in the evaluation; then blocks are scattered again. */
 const IN_A_ROW = 10;
+
+/**
+ * Who builds an episode, and the weights of a policy.
+ * @typedef {{ agent: string, weights: Weights }} Builder
+ */
 
 /**
  * @typedef {object} Parts
@@ -87,10 +93,12 @@ export class Stage {
 
   /**
    * @param {Replay} replay
+   * @param {Snapshots} snapshots
    * @param {Parts} parts
    */
-  constructor(replay, parts) {
+  constructor(replay, snapshots, parts) {
     this.replay = replay;
+    this.snapshots = snapshots;
     this.parts = parts;
     this.parts.previous.addEventListener("click", () => this.go(-1));
     this.parts.next.addEventListener("click", () => this.go(1));
@@ -102,7 +110,12 @@ export class Stage {
     });
     this.parts.choose.addEventListener("click", () => this.open());
     this.parts.video.addEventListener("click", () => this.saveVideo());
-    for (const choices of [this.parts.agent, this.parts.mode]) choices.addEventListener("change", () => this.build());
+    for (const choices of [this.parts.agent, this.parts.mode]) choices.addEventListener("change", () => {
+      // There is room for two.
+      if (this.parts.both.checked) snapshots.parts.beside.checked = false;
+      snapshots.draw();
+      this.build();
+    });
     this.parts.dialog.addEventListener("close", () => address.set({ open: null }));
     this.parts.dialog.addEventListener("click", (event) => { if (event.target === this.parts.dialog) this.parts.dialog.close(); });
   }
@@ -141,6 +154,7 @@ export class Stage {
    * @param {boolean} [isNew] whether the back button returns to the one before
    */
   start(id, isNew = true) {
+    this.snapshots.isThrough = false;
     const stays = this.parts.keep.checked && this.chosen && this.before.length + 1 < IN_A_ROW;
     this.before = stays ? [...this.before, this.chosen] : [];
     [this.chosen, this.drawn] = [id, null];
@@ -154,6 +168,7 @@ export class Stage {
     pick(this.parts.agent, address.get("agent"));
     pick(this.parts.mode, address.get("mode"));
     this.parts.both.checked = address.get("both") === "1";
+    this.snapshots.restore(address.get("snapshot"), address.get("beside"));
     this.seed = Math.max(Number.parseInt(address.get("seed"), 10) || 0, 0);
     this.before = (address.get("after") || "").split(",").filter(Boolean);
     this.parts.keep.checked = this.before.length > 0;
@@ -175,40 +190,62 @@ export class Stage {
     this.build();
   }
 
+  /** Builds the same with other weights. */
+  again() {
+    if (this.snapshots.parts.beside.checked) this.parts.both.checked = false;
+    pick(this.parts.agent, null);
+    this.parts.onward.checked = false;
+    if (this.chosen || this.drawn) this.build();
+    else this.go(1);
+  }
+
   /**
    * Says how often the policy built structures of this size in the newest evaluation; empty if it had none.
    * @param {number} size in blocks
    */
   success(size) {
-    const { blueprints, passes } = model.history;
+    const { blueprints } = model.history;
     const acting = /** @type {Acting} */ (picked(this.parts.mode));
-    const counts = passes.at(-1)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || [];
+    const counts = this.snapshots.pass(this.snapshots.chosen)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || [];
     const [built, all] = [0, 1].map((k) => counts.reduce((sum, cell) => sum + cell[k], 0));
     return all > 0 ? `The policy builds ${percent(built / all)} of those with ${size} blocks.` : "";
   }
 
   /** Returns what is to be built, and how, as text. */
   order() {
-    return [this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, ...this.before].join();
+    const { snapshot, beside } = this.snapshots.named();
+    return [this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, snapshot, beside, ...this.before].join();
+  }
+
+  /**
+   * Returns who builds, one or two in step.
+   * @returns {Builder[]}
+   */
+  builders() {
+    const agent = picked(this.parts.agent);
+    const [weights] = this.snapshots.pair();
+    if (this.parts.both.checked) return [{ agent: "policy", weights }, { agent: "expert", weights: null }];
+    if (agent !== "policy") return [{ agent, weights: null }];
+    return this.snapshots.pair().map((one) => ({ agent, weights: one }));
   }
 
   /**
    * Requests the episode with the selected options.
-   * @param {string} agent
+   * @param {Builder} builder
    */
-  request(agent) {
+  request(builder) {
     const { signal } = this.gone;
-    if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${agent}`), { signal });
-    if (this.drawn) return fetch(`${model.base}/api/play?${this.wishes(agent)}`, { method: "POST", body: this.drawn.file, signal });
-    return fetch(`${model.base}/api/play?${this.wishes(agent)}`, { signal });
+    if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${builder.agent}`), { signal });
+    if (this.drawn) return fetch(`${model.base}/api/play?${this.wishes(builder)}`, { method: "POST", body: this.drawn.file, signal });
+    return fetch(`${model.base}/api/play?${this.wishes(builder)}`, { signal });
   }
 
   /**
    * Returns the query that asks for the episode.
-   * @param {string} agent
+   * @param {Builder} builder
    */
-  wishes(agent) {
-    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}`;
+  wishes({ agent, weights }) {
+    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}${weights === null ? "" : `&snapshot=${weights}`}`;
     if (this.drawn) return how;
     const after = this.before.length > 0 ? `&after=${this.before.map(encodeURIComponent).join(",")}` : "";
     return `blueprint=${encodeURIComponent(this.chosen)}&${how}${after}`;
@@ -217,9 +254,9 @@ export class Stage {
   /** Saves the video of what is shown, if it has one. */
   async saveVideo() {
     const recording = address.get("recording");
-    const agent = picked(this.parts.agent);
+    const [builder] = this.builders();
     if (recording !== null) await saveVideo(answerAt(model.base, "video", recording), `${recording}.mp4`, this.parts.shared);
-    else if (this.chosen && !this.drawn) await saveVideo(`${model.base}/api/play.mp4?${this.wishes(agent)}`, `${this.chosen}-${agent}.mp4`, this.parts.shared);
+    else if (this.chosen && !this.drawn) await saveVideo(`${model.base}/api/play.mp4?${this.wishes(builder)}`, `${this.chosen}-${builder.agent}.mp4`, this.parts.shared);
     else this.parts.shared.textContent = "There is no video of a drawing. Save it as a file, and `lodestone play FILE` makes some.";
   }
 
@@ -232,7 +269,7 @@ export class Stage {
     const [agent, mode] = [picked(this.parts.agent), picked(this.parts.mode)];
     address.set({
       blueprint: this.drawn ? null : this.chosen, agent: agent === "policy" ? null : agent, mode: mode === "greedy" ? null : mode,
-      both: this.parts.both.checked ? 1 : null,
+      both: this.parts.both.checked ? 1 : null, ...this.snapshots.named(),
       seed: this.seed || null, after: this.before.join(","), recording: null, step: null,
     }, isNew);
     this.replay.leave();
@@ -249,18 +286,19 @@ export class Stage {
     const mine = this.asked;
     this.shown = null;
     const isWanted = () => mine === this.asked;
-    const agent = picked(this.parts.agent);
-    const both = this.parts.both.checked;
-    const who = both ? "The policy and the expert build" : `The ${agent} builds`;
+    const builders = this.builders();
+    const [{ agent }] = builders;
+    const who = this.parts.both.checked ? "The policy and the expert build" : `The ${agent} builds`;
     this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : this.chosen} …`;
-    this.replay.prepare(both ? 2 : 1);
+    this.replay.prepare(builders.length);
     if (this.gone) this.gone.abort();
     this.gone = new AbortController();
     /** @type {Episode[]} */
     const episodes = [];
-    for (const one of both ? ["policy", "expert"] : [agent]) {
+    for (const one of builders) {
       const episode = await this.episode(one, isWanted);
       if (!episode) return;
+      if (one.agent === "policy" && this.snapshots.all.length > 0) episode.caption = `policy, ${this.snapshots.told(one.weights)}`;
       episodes.push(episode);
     }
     const [{ actor, weights_version: version, blueprint, title, goal }] = episodes;
@@ -270,24 +308,26 @@ export class Stage {
     this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : title} (${blueprint}), start ${this.seed + 1}${nth}${weights}`;
     this.shown = this.drawn ? null : this.order();
     this.parts.success.textContent = this.success(goal.length);
-    await present(this.replay, episodes, () => {
-      if (this.parts.onward.checked && !this.drawn) setTimeout(() => { if (isWanted() && !this.replay.playing && this.replay.time >= this.replay.n) this.go(1, false); }, REST_MS);
-    });
+    await present(this.replay, episodes, () => setTimeout(() => {
+      if (!isWanted() || this.replay.playing || this.replay.time < this.replay.n) return;
+      if (this.snapshots.next()) this.build(false);
+      else if (this.parts.onward.checked && !this.drawn) this.go(1, false);
+    }, REST_MS));
   }
 
   /**
    * Requests the episode of an agent until there is one. Returns `null` if it is no longer wanted or, with a note, if it
    * fails.
-   * @param {string} agent
+   * @param {Builder} builder
    * @param {() => boolean} isWanted
    * @returns {Promise<Episode | null>}
    */
-  async episode(agent, isWanted) {
+  async episode(builder, isWanted) {
     for (;;) {
       /** @type {Response} */
       let answer;
       try {
-        answer = await this.request(agent);
+        answer = await this.request(builder);
       } catch {
         if (isWanted()) this.parts.note.textContent = NO_ANSWER;
         return null;

@@ -200,6 +200,8 @@ export interface Scene {
 
 /** `/api/replay`, `/api/play` and `/api/recording` */
 export interface Episode {
+  /** Who builds, if the page knows more than the name of the actor. */
+  caption?: string;
   actor: string;
   weights_version: number;
   blueprint: string;
@@ -309,6 +311,9 @@ interface Elements {
   "replay-slider": HTMLInputElement;
   "replay-speed": HTMLSelectElement;
   "roster": HTMLTableElement;
+  "snapshot": HTMLInputElement;
+  "snapshot-beside": HTMLInputElement;
+  "snapshot-other": HTMLInputElement;
   "stage-both": HTMLInputElement;
   "stage-keep": HTMLInputElement;
   "stage-onward": HTMLInputElement;

@@ -72,7 +72,7 @@ export class View {
     this.n = episode.scenes.length - 1;
     this.follow = new Follow(episode);
     this.space.load(episode);
-    this.parts.caption.textContent = episode.actor;
+    this.parts.caption.textContent = episode.caption || episode.actor;
   }
 
   /** Returns the middle of what the camera shows at the end, meters. */
