@@ -152,6 +152,7 @@ mod tests {
             proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: Default::default(),
+            disturbance: None,
         };
         let cut = rollout.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
         let Cut::Segment(segment) = cut else { panic!("a segment of one step is complete") };

@@ -229,6 +229,7 @@ impl<E: Env> Rollout<E> {
                 proposals: decision.proposals,
                 behavior_log_prob,
                 reward: result.reward,
+                disturbance: None,
             };
             let (identity, after) = (&self.setup.identity, self.envs.env(row).scene());
             match slot.segment.push(transition, self.version, after, result.status, identity) {

@@ -146,6 +146,7 @@ mod tests {
             proposals: [None; 2],
             behavior_log_prob: -1.0,
             reward: RewardTerms { connected, ..RewardTerms::default() },
+            disturbance: None,
         }
     }
 

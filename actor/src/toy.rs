@@ -82,6 +82,7 @@ pub(crate) fn trajectory() -> Trajectory {
         proposals: [None; 2],
         behavior_log_prob: -1.0,
         reward: RewardTerms::default(),
+        disturbance: None,
     };
     Trajectory {
         actor: identity().actor,

@@ -21,6 +21,12 @@ const MAX_ANGLE_DEG: f32 = 40.0;
 /// Maximum deviation of a quaternion's length from 1.
 const MAX_STRETCH: f32 = 0.01;
 
+/// By how much at a time a block is raised to be clear of others, m, and how often at most: above any structure. Blocks
+/// that touch overlap by less than `TOUCH_M`.
+const RAISE_M: f32 = 0.01;
+const MAX_RAISES: usize = 1000;
+const TOUCH_M: f32 = 0.002;
+
 /// Distance from the origin at which a block counts as lost and the episode as `Diverged`, m. It exceeds the distance
 /// that a gripper can carry a block along one axis in an episode (3 m/s for 10 s). Episodes in which the agent flies off
 /// with its blocks must stay in the data, or it never learns not to.
@@ -146,6 +152,22 @@ impl Arrangement {
         joints.sort_unstable();
         Ok(joints)
     }
+}
+
+/// Returns the pose of a block, raised until it is clear of the ground and of the others.
+pub(crate) fn raised(poses: &[Isometry3<f32>; N_BLOCKS], block: BlockIdx) -> Isometry3<f32> {
+    let solid = |block: BlockIdx, pose| Solid::new(pose, Inventory::standard().half_extents_m(block).into());
+    let mut pose = poses[block.get()];
+    for _ in 0..MAX_RAISES {
+        let own = solid(block, &pose);
+        let others = BlockIdx::all().filter(|&other| other != block);
+        let is_free = others.map(|other| solid(other, &poses[other.get()])).all(|other| own.overlap(&other) <= TOUCH_M);
+        if is_free && own.shadow(&Vector3::z()) <= pose.translation.z + TOUCH_M {
+            break;
+        }
+        pose.translation.z += RAISE_M;
+    }
+    pose
 }
 
 fn check_pose(block: u8, &Pose { position, orientation }: &Pose) -> Result<(), ArrangementError> {

@@ -174,6 +174,13 @@ impl Connections {
         }
     }
 
+    /// Breaks all connections of a block.
+    pub(crate) fn detach(&mut self, engine: &mut Engine, block: BlockIdx) {
+        while let Some(i) = self.live.iter().position(|c| c.joint.a == block || c.joint.b == block) {
+            self.break_connection(engine, i);
+        }
+    }
+
     fn break_connection(&mut self, engine: &mut Engine, index: usize) {
         let component = self.components[self.live[index].joint.a.get()];
         for connection in &mut self.live {

@@ -94,6 +94,10 @@ pub(crate) struct Velocity {
     pub(crate) angular: Vector3<f32>,
 }
 
+impl Velocity {
+    pub(crate) const STILL: Self = Self { linear: Vector3::new(0.0, 0.0, 0.0), angular: Vector3::new(0.0, 0.0, 0.0) };
+}
+
 impl Bodies {
     fn add_block(&mut self, block: BlockIdx, half_extents_m: [f32; 3], physics: &PhysicsConfig) -> RigidBodyHandle {
         let body = RigidBodyBuilder::dynamic()
@@ -172,7 +176,7 @@ impl Engine {
         self.ccd = CCDSolver::new();
         (self.n_substeps, self.solved) = (0, [(0, 0.0); N_BLOCKS]);
         for (block, pose) in BlockIdx::all().zip(poses) {
-            self.body_mut(block).set_position(pose_to_rapier(pose), true);
+            self.set_pose(block, pose);
         }
     }
 
@@ -245,6 +249,10 @@ impl Engine {
         let body = self.body_mut(block);
         body.set_linvel(to_rapier(velocity.linear), true);
         body.set_angvel(to_rapier(velocity.angular), true);
+    }
+
+    pub(crate) fn set_pose(&mut self, block: BlockIdx, pose: &Isometry3<f32>) {
+        self.body_mut(block).set_position(pose_to_rapier(pose), true);
     }
 
     pub(crate) fn set_gravity(&mut self, block: BlockIdx, on: bool) {

@@ -30,20 +30,17 @@ pub(crate) struct Grippers {
     delay_steps: u8,
 }
 
-const STILL: Velocity = Velocity { linear: Vector3::new(0.0, 0.0, 0.0), angular: Vector3::new(0.0, 0.0, 0.0) };
+impl State {
+    fn idle() -> Self {
+        let orientation = UnitQuaternion::identity();
+        Self { target: None, delay_left: 0, held: None, command: Velocity::STILL, orientation, motor: None }
+    }
+}
 
 impl Grippers {
     pub(crate) fn new(config: &EnvironmentConfig) -> Self {
-        let state = State {
-            target: None,
-            delay_left: 0,
-            held: None,
-            command: STILL,
-            orientation: UnitQuaternion::identity(),
-            motor: None,
-        };
         Self {
-            states: vec![state; usize::from(config.n_grippers).min(N_GRIPPERS)],
+            states: vec![State::idle(); usize::from(config.n_grippers).min(N_GRIPPERS)],
             max_speed_mps: config.max_speed_mps,
             max_turn_radps: config.max_turn_radps,
             delay_steps: config.transition_delay_steps,
@@ -52,16 +49,7 @@ impl Grippers {
 
     /// Releases all blocks and resets all state. The engine's joints must already be gone.
     pub(crate) fn clear(&mut self) {
-        for state in &mut self.states {
-            *state = State {
-                target: None,
-                delay_left: 0,
-                held: None,
-                command: STILL,
-                orientation: UnitQuaternion::identity(),
-                motor: None,
-            };
-        }
+        self.states.fill(State::idle());
     }
 
     /// Releases all blocks in a world that continues.
@@ -69,6 +57,13 @@ impl Grippers {
         self.remove_motors(engine);
         self.clear();
         BlockIdx::all().for_each(|block| engine.set_gravity(block, true));
+    }
+
+    /// Releases a block for the rest of the step.
+    pub(crate) fn let_go(&mut self, block: BlockIdx) {
+        for state in self.states.iter_mut().filter(|state| state.held == Some(block)) {
+            (state.held, state.command) = (None, Velocity::STILL);
+        }
     }
 
     /// Applies the choices and converts the moves of the chosen blocks to world-frame velocities, which hold for the
@@ -84,7 +79,7 @@ impl Grippers {
             }
             state.held = if state.delay_left == 0 { choice } else { None };
             state.delay_left = state.delay_left.saturating_sub(1);
-            state.command = STILL;
+            state.command = Velocity::STILL;
             if let Some(block) = state.held {
                 let entry = |i: usize| action.moves[block.get()][i].clamp(-1.0, 1.0);
                 let rotation = engine.pose(block).rotation;

@@ -1,15 +1,16 @@
 //! The world, simulated with rapier.
 
 use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, N_BLOCKS};
-use proto::{Action, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task};
+use nalgebra::Vector3;
+use proto::{Action, Disturbance, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::arrangement::{Arrangement, ArrangementError, RUNAWAY_M};
+use crate::arrangement::{Arrangement, ArrangementError, RUNAWAY_M, raised};
 use crate::config::{EnvironmentConfig, PhysicsConfig};
 use crate::connections::{Connections, block_array};
 use crate::convert::to_pose;
-use crate::engine::{Engine, SUBSTEP_S};
+use crate::engine::{Engine, SUBSTEP_S, Velocity};
 use crate::env::{Env, ResetError, StepResult};
 use crate::grippers::Grippers;
 use crate::randomization;
@@ -65,6 +66,10 @@ pub struct World {
     /// Force above which a contact is heavy in this episode, N.
     heavy_contact_n: f32,
     half_diagonals_m: [f32; N_BLOCKS],
+    /// What somebody outside does to the blocks, by the steps of an episode.
+    disturbances: Vec<(u16, Disturbance)>,
+    /// Number of episodes to begin before they apply.
+    n_calm: usize,
 }
 
 impl World {
@@ -81,7 +86,9 @@ impl World {
             n_steps: 0,
             alive: false,
             heavy_contact_n: heavy_contact_n(&config.physics),
-            half_diagonals_m: block_array(|block| nalgebra::Vector3::from(inventory.half_extents_m(block)).norm()),
+            half_diagonals_m: block_array(|block| Vector3::from(inventory.half_extents_m(block)).norm()),
+            disturbances: Vec::new(),
+            n_calm: 0,
             config: config.clone(),
         };
         world.observe(0);
@@ -102,6 +109,27 @@ impl World {
         self.place(&scene.layout()?);
         self.begin();
         Ok(())
+    }
+
+    /// Disturbs every episode after the next `n_calm` ones, each time as the action of the given step, from 0, begins.
+    pub fn disturb(&mut self, n_calm: usize, disturbances: &[(u16, Disturbance)]) {
+        (self.n_calm, self.disturbances) = (n_calm + 1, disturbances.to_vec());
+    }
+
+    /// Takes the block out of the grippers. If it is moved, it comes off everything that it was connected to, and ends
+    /// up above what is in its place.
+    fn apply(&mut self, disturbance: &Disturbance) {
+        let (block, push) = (disturbance.block(), Vector3::from(disturbance.push_mps()));
+        let mut velocity = self.engine.velocity(block);
+        self.grippers.let_go(block);
+        if disturbance.displacement_m() != [0.0; 3] {
+            self.connections.detach(&mut self.engine, block);
+            let mut poses = block_array(|block| self.engine.pose(block));
+            poses[block.get()].translation.vector += Vector3::from(disturbance.displacement_m());
+            self.engine.set_pose(block, &raised(&poses, block));
+            velocity = Velocity::STILL;
+        }
+        self.engine.set_velocity(block, Velocity { linear: velocity.linear + push, ..velocity });
     }
 
     /// Recreates the bodies, magnets, and grippers for an episode with its own settings.
@@ -125,6 +153,7 @@ impl World {
     /// Begins an episode in the present state.
     fn begin(&mut self) {
         (self.n_steps, self.alive) = (0, true);
+        self.n_calm = self.n_calm.saturating_sub(1);
         self.observe(0);
         self.potential = potential(&self.scene, &self.blueprint, &self.config.reward);
     }
@@ -211,6 +240,10 @@ impl Env for World {
             return diverged;
         }
         self.grippers.begin_step(&mut self.engine, action);
+        let due = self.disturbances.iter().find(|(step, _)| self.n_calm == 0 && *step == self.n_steps - 1);
+        if let Some((_, disturbance)) = due.copied() {
+            self.apply(&disturbance);
+        }
         let n_heavy_contacts = self.run_substeps();
         self.observe(n_heavy_contacts);
         if !self.is_sound() {

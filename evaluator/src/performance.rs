@@ -5,7 +5,8 @@ use environment::{EnvironmentConfig, ExpertAgent, Step, World};
 use parking_lot::Mutex;
 use policy::{Policy, PolicyConfig};
 use proto::{
-    ActionMode, ActorId, Agent, BehaviorPolicy, Observation, Scene, Start, Trajectory, Valid, Weights, WeightsVersion,
+    ActionMode, ActorId, Agent, BehaviorPolicy, Disturbance, Observation, Scene, Start, Trajectory, Valid, Weights,
+    WeightsVersion,
 };
 
 use crate::recording::Recording;
@@ -35,6 +36,8 @@ pub struct Performance<'p> {
     pub acting: ActionMode,
     /// Seed of the scattered start and of sampled actions.
     pub seed: u64,
+    /// What somebody outside does to the blocks, by the steps from 0; nothing while `before` is built.
+    pub disturbances: &'p [(u16, Disturbance)],
 }
 
 /// Plays the goals of `before`, then the episode, to its end. Equal arguments give an equal episode. Returns the
@@ -65,7 +68,7 @@ fn run<A: Agent>(
 where
     EvalError: From<A::Error>,
 {
-    let Performance { environment, blueprint, before, acting, seed } = performance;
+    let Performance { environment, blueprint, before, acting, seed, disturbances } = performance;
     let mut catalog = Catalog::of_one(blueprint.clone());
     for other in before.iter().filter(|other| other.id() != blueprint.id()) {
         catalog = catalog.with(&Catalog::of_one(other.clone()));
@@ -80,8 +83,16 @@ where
         })
         .collect();
     let mut sequences = std::iter::once((0, specs.as_slice()));
-    run_sequences(&rules, &mut agent, vec![World::new(environment)], || sequences.next(), |_, _| {})?;
-    Ok(witness.seen.into_inner())
+    let mut world = World::new(environment);
+    world.disturb(before.len(), disturbances);
+    run_sequences(&rules, &mut agent, vec![world], || sequences.next(), |_, _| {})?;
+    let mut seen = witness.seen.into_inner();
+    for (step, disturbance) in disturbances {
+        // The episode may have ended before.
+        let step = seen.as_mut().and_then(|episode| episode.transitions.get_mut(usize::from(*step)));
+        step.into_iter().for_each(|step| step.disturbance = Some(*disturbance));
+    }
+    Ok(seen)
 }
 
 /// The actor, behavior policy, and weights version named in a recording.
@@ -133,19 +144,21 @@ impl<A> EpisodeObserver<A> for Witness {
 
 #[cfg(test)]
 mod tests {
+    use environment::Env;
     use proto::Status;
 
     use super::*;
+
+    fn calm<'p>(environment: &'p Valid<EnvironmentConfig>, blueprint: &'p Blueprint, seed: u64) -> Performance<'p> {
+        let acting = ActionMode::Greedy;
+        Performance { environment, blueprint, before: &[], acting, seed, disturbances: &[] }
+    }
 
     #[test]
     fn the_expert_builds_two_blocks_and_equal_seeds_give_equal_episodes() {
         let environment = Valid::default();
         let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-        let play = |seed| {
-            let performance =
-                Performance { environment: &environment, blueprint, before: &[], acting: ActionMode::Greedy, seed };
-            perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
-        };
+        let play = |seed| perform(calm(&environment, blueprint, seed), Performer::Expert, &|| true).unwrap().unwrap();
         let first = play(1);
         assert_eq!((first.status, first.actor.as_str()), (Status::Success, "expert"));
         assert_eq!(first, play(1));
@@ -157,8 +170,7 @@ mod tests {
         let environment = Valid::default();
         let goals = ["2_000", "2_001"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
         let play = |blueprint, before| {
-            let performance =
-                Performance { environment: &environment, blueprint, before, acting: ActionMode::Greedy, seed: 1 };
+            let performance = Performance { before, ..calm(&environment, blueprint, 1) };
             perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
         };
         let (alone, second) = (play(&goals[0], &[]), play(&goals[1], &goals[..1]));
@@ -169,12 +181,55 @@ mod tests {
     }
 
     #[test]
+    fn a_disturbed_episode_is_recorded_goes_on_and_replays_exactly() {
+        let environment = Valid::default();
+        let goals = ["3_000", "2_000"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
+        let play = |before, disturbances| {
+            let performance = Performance { before, disturbances, ..calm(&environment, &goals[0], 1) };
+            perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
+        };
+        let quiet = play(&[], &[]);
+        let joined = |episode: &Trajectory, step: usize| episode.transitions[step].scene.joints.len();
+        let step = (0..quiet.transitions.len()).find(|&step| joined(&quiet, step) == 1).unwrap();
+        let block = quiet.transitions[step].scene.joints[0].b;
+        let moved = Disturbance::new(block, [0.0, 0.0, -0.5], [0.0; 3]).unwrap();
+        let pushed = Disturbance::new(block, [0.0; 3], [1.0, 0.0, 2.0]).unwrap();
+        let disturbances = [(step as u16, moved), (step as u16 + 5, pushed), (999, pushed)];
+        let disturbed = play(&[], &disturbances);
+        // It comes off the others and out of the ground, and the expert builds the goal all the same.
+        let scenes =
+            |episode: &Trajectory| episode.transitions[..=step].iter().map(|t| t.scene.clone()).collect::<Vec<_>>();
+        assert_eq!(scenes(&disturbed), scenes(&quiet), "the step's effect shows after it");
+        assert_eq!(joined(&disturbed, step + 1), 0);
+        assert!(disturbed.transitions[step + 1].scene.blocks[block.get()].position[2] > 0.0);
+        assert_eq!(disturbed.status, Status::Success);
+        let recorded = |episode: &Trajectory| -> Vec<(u16, Disturbance)> {
+            let steps = episode.transitions.iter().zip(0..);
+            steps.filter_map(|(transition, step)| Some((step, transition.disturbance?))).collect()
+        };
+        assert_eq!(recorded(&disturbed), disturbances[..2], "the last would come after the end");
+        // The recording has all that it takes to see the same again.
+        let bytes = proto::codec::encode_recording(&disturbed);
+        let read = proto::codec::decode_recording(&bytes).unwrap();
+        let mut world = World::new(&environment);
+        world.disturb(0, &recorded(&read));
+        world.reset(&read.task, Catalog::builtin()).unwrap();
+        for transition in &read.transitions {
+            assert_eq!(world.scene(), &transition.scene);
+            world.step(&transition.action);
+        }
+        assert_eq!(world.scene(), &read.last_scene);
+        // What was built before stays as it was.
+        let second = play(&goals[1..], &disturbances[..1]);
+        assert_eq!(second.transitions[0].scene, play(&goals[1..], &[]).transitions[0].scene);
+        assert_eq!(recorded(&second), disturbances[..1]);
+    }
+
+    #[test]
     fn nobody_waits_for_an_episode_that_is_no_longer_wanted() {
         let environment = Valid::default();
         let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-        let performance =
-            Performance { environment: &environment, blueprint, before: &[], acting: ActionMode::Greedy, seed: 1 };
-        let ended = perform(performance, Performer::Expert, &|| false);
+        let ended = perform(calm(&environment, blueprint, 1), Performer::Expert, &|| false);
         assert!(matches!(ended, Err(EvalError::Interrupted)), "{ended:?}");
     }
 }

@@ -15,7 +15,8 @@ impl Recording {
     /// Adds a step.
     pub(crate) fn push(&mut self, step: Step) {
         let Step { scene, decision: Decision { action, proposals, .. }, result: StepResult { reward, .. } } = step;
-        self.transitions.push(Transition { scene, action, proposals, behavior_log_prob: 0.0, reward });
+        let transition = Transition { scene, action, proposals, behavior_log_prob: 0.0, reward, disturbance: None };
+        self.transitions.push(transition);
     }
 
     /// Returns the episode as a trajectory, without log-probabilities, because it is not used for learning.

@@ -62,6 +62,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
             proposals: [None; 2],
             behavior_log_prob: -12.0,
             reward: RewardTerms { blocks: rng.random_range(-0.1..0.1), ..RewardTerms::default() },
+            disturbance: None,
         })
         .collect();
     let assignment: Vec<BlockIdx> = BlockIdx::all().collect();

@@ -110,6 +110,9 @@ impl Admission {
             self.check_draws(transition, trajectory.behavior_policy).map_err(at)?;
             check_scene(&transition.scene).map_err(at)?;
             check_reward(&transition.reward).map_err(at)?;
+            if transition.disturbance.is_some() {
+                return Err(at("was disturbed, as no actor's is".to_owned()));
+            }
             let log_prob = transition.behavior_log_prob;
             if !LOG_PROBS.contains(&log_prob) {
                 return Err(at(format!("has a log-probability of {log_prob}, which no action has")));
@@ -287,7 +290,7 @@ mod tests {
     #[test]
     fn implausible_numbers_are_refused() {
         type Spoil = fn(&mut Trajectory);
-        let cases: [(Spoil, &str); 18] = [
+        let cases: [(Spoil, &str); 19] = [
             (|t| t.transitions[1].reward.connected = 1e5, "step 1 has a reward of 100000, which no world gives"),
             (|t| t.transitions[1].reward.force = f32::NAN, "step 1 has a reward of NaN, which no world gives"),
             (|t| t.transitions[0].behavior_log_prob = -1e5, "a log-probability of -100000, which no action has"),
@@ -306,6 +309,13 @@ mod tests {
             ),
             (|t| t.last_scene.speeds_mps[3] = f32::INFINITY, "the end has a block with a speed of inf m/s"),
             (|t| t.transitions[1].action.choices[1] = None, "step 1 uses 1 grippers, the network has 2"),
+            (
+                |t| {
+                    t.transitions[1].disturbance =
+                        proto::Disturbance::new(0_u8.try_into().unwrap(), [0.0; 3], [1.0; 3]).ok()
+                },
+                "step 1 was disturbed",
+            ),
             (|t| t.status = Status::Diverged, "the episode diverged"),
             (|t| t.transitions.clear(), "a trajectory has at least one step"),
             (|t| t.settings_hash ^= 1, "its actor has other settings of the policy or the world"),

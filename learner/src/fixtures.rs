@@ -30,6 +30,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
             proposals: [None; 2],
             behavior_log_prob: -10.0,
             reward: RewardTerms::default(),
+            disturbance: None,
         })
         .collect();
     let assignment: Vec<BlockIdx> = BlockIdx::all().collect();

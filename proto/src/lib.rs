@@ -1,6 +1,6 @@
 //! The interface between processes: validated plain types, their wire format, and key expressions. It does no I/O.
 //!
-//! Reading order: the types [`scene`] → [`step`] → [`agent`] → [`trajectory`] → [`weights`], and the reports
+//! Reading order: the types [`scene`] → [`step`] → [`disturbance`] → [`agent`] → [`trajectory`] → [`weights`], and the reports
 //! [`metrics`] → [`codec`] → [`keys`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -12,6 +12,7 @@ pub mod agent;
 mod canonical;
 pub mod codec;
 mod config_hash;
+pub mod disturbance;
 pub mod keys;
 pub mod metrics;
 pub mod scene;
@@ -27,6 +28,7 @@ pub use agent::{Agent, Decision, Observation};
 pub use canonical::{CanonicalSettings, NotCanonical, SettingsDifference};
 pub use codec::{Ack, DecodeError, Refusal};
 pub use config_hash::config_hash;
+pub use disturbance::{Disturbance, InvalidDisturbance};
 pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
 pub use setting::InvalidSetting;

@@ -7,7 +7,7 @@ use blueprints::hash::fnv1a;
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
-use crate::{Action, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion};
+use crate::{Action, Disturbance, N_GRIPPERS, RewardTerms, Scene, Status, WeightsVersion};
 
 /// Name of an actor: 1 to 64 characters of `a-z`, `0-9`, `-`.
 ///
@@ -66,6 +66,8 @@ pub struct Transition {
     pub behavior_log_prob: f32,
     /// Reward by term.
     pub reward: RewardTerms,
+    /// What somebody outside did to the world in this step; no actor does that.
+    pub disturbance: Option<Disturbance>,
 }
 
 /// The source of an episode's actions.

@@ -94,7 +94,7 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     let browser = Browser::start(&driver, folder.path());
     browser.open(&format!("{address}?blueprint=2_000&seed=3&snapshot={last}"));
     let builds = |after: u64| {
-        browser.until(&format!("replay.episode?.caption?.startsWith('policy, after {after} steps')"));
+        browser.until(&format!("replay.episode?.caption?.startsWith('policy after {after} steps')"));
         browser.run("return [replay.episode.weights_version, replay.episode.scenes[0].blocks]")
     };
     let (of_last, slider) = (builds(last), browser.element("#snapshot"));
@@ -106,7 +106,7 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     browser.until(&format!("location.search.includes('seed=3') && location.search.includes('snapshot={first}')"));
     // Beside it builds the policy of the run, with its own weights, in step.
     browser.element("#snapshot-beside").click();
-    browser.until("replay.views[1]?.episode.caption === `policy, the run's policy`");
+    browser.until("replay.views[1]?.episode.caption === `the run's policy`");
     let both = browser.run("return replay.views.map(({ episode }) => episode.weights_version)");
     assert_eq!(both[0], of_first[0]);
     browser.until("location.search.includes('beside=policy')");

@@ -29,9 +29,9 @@ const OTHERS: [Asset; 6] = [
 ];
 
 /// The page's modules. Those of the 3D view are loaded when the first episode is shown or the user starts to draw.
-const MODULES: [Asset; 32] = modules!(
+const MODULES: [Asset; 33] = modules!(
     "address" "app" "attention" "axes" "chart" "curves" "draw" "editor" "follow" "format" "gallery" "grippers" "ground"
-    "health" "heat" "labels" "magnets" "model" "options" "origin" "pointer" "replay" "share" "snapshots" "solid" "space" "stage"
+    "hand" "health" "heat" "labels" "magnets" "model" "options" "origin" "pointer" "replay" "share" "snapshots" "solid" "space" "stage"
     "terms" "ticks" "verdict" "videos" "view"
 );
 

@@ -65,6 +65,8 @@ struct ReplayView {
     /// The pairs of blocks that the goal connects.
     links: Vec<[usize; 2]>,
     scenes: Vec<SceneView>,
+    /// The steps in which somebody outside moved or pushed a block, and the block.
+    disturbances: Vec<(usize, usize)>,
     attention: Option<AttentionView>,
 }
 
@@ -162,6 +164,7 @@ fn view(
         (placement.block.get(), pose(placement.position_m().into(), turn.coords.into()))
     });
     let scenes = episode.scenes().iter().enumerate();
+    let steps = segments.iter().flat_map(|segment| (usize::from(segment.first_step)..).zip(&segment.transitions));
     Some(ReplayView {
         schema_version: SCHEMA_VERSION,
         actor: first.actor.to_string(),
@@ -182,6 +185,7 @@ fn view(
         goal: places.collect(),
         links: episode.goal().links().iter().map(|link| [link.a, link.b].map(BlockIdx::get)).collect(),
         scenes: scenes.map(|(n_done, scene)| SceneView::new(&episode, n_done, scene)).collect(),
+        disturbances: steps.filter_map(|(step, t)| Some((step, t.disturbance?.block().get()))).collect(),
         attention: look(&episode),
     })
 }
@@ -264,6 +268,7 @@ pub(super) mod tests {
             proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward,
+            disturbance: None,
         };
         Trajectory {
             actor: "a".parse().unwrap(),

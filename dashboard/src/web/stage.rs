@@ -10,9 +10,10 @@ use axum::http::StatusCode;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER};
 use axum::response::{IntoResponse, Response};
 use blueprints::checks::check_text;
-use blueprints::{Blueprint, BlueprintId, Catalog};
+use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog};
 use parking_lot::Mutex;
-use proto::{ActionMode, Trajectory};
+use proto::codec::MAX_SEGMENT_STEPS;
+use proto::{ActionMode, Disturbance, Trajectory};
 use render::video::{Episode, Video, mp4};
 use runlog::RunPaths;
 use serde_json::json;
@@ -23,6 +24,12 @@ use super::replay::Replays;
 
 /// Maximum number of goals in a row in one world, as in the evaluation without resets.
 const MAX_IN_A_ROW: usize = 10;
+
+/// Maximum number of disturbances of an episode.
+const MAX_DISTURBANCES: usize = 16;
+
+/// The parameters of a request.
+const KEYS: &str = "blueprint, after, agent, mode, seed, snapshot and disturb";
 
 /// Width of the frames of a video in pixels, and their number per second.
 const VIDEO_PX: usize = 640;
@@ -39,7 +46,7 @@ pub enum Builder {
 }
 
 /// A requested episode.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Order {
     /// The goal.
     pub blueprint: Blueprint,
@@ -53,6 +60,8 @@ pub struct Order {
     pub seed: u64,
     /// Environment steps of the run's snapshot that acts; `None` for the newest weights.
     pub snapshot: Option<u64>,
+    /// What somebody outside does to the blocks, by the steps from 0.
+    pub disturbances: Vec<(u16, Disturbance)>,
 }
 
 /// Why no episode is returned.
@@ -119,11 +128,12 @@ struct Wishes<'q> {
     acting: ActionMode,
     seed: u64,
     snapshot: Option<u64>,
+    disturbances: Vec<(u16, Disturbance)>,
 }
 
 impl<'q> Wishes<'q> {
-    /// Parses `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…&snapshot=…`. All parameters are
-    /// optional.
+    /// Parses `blueprint=…&after=…,…&agent=policy|expert&mode=greedy|sampled&seed=…&snapshot=…&disturb=…`. All
+    /// parameters are optional.
     fn parse(query: &'q str) -> Result<Self, String> {
         let mut wishes = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
@@ -136,13 +146,12 @@ impl<'q> Wishes<'q> {
                 Some(("mode", "sampled")) => wishes.acting = ActionMode::Sampled,
                 Some(("seed", value)) => wishes.seed = number("seed", value)?,
                 Some(("snapshot", value)) => wishes.snapshot = Some(number("snapshot", value)?),
+                Some(("disturb", value)) => wishes.disturbances = disturbances(value)?,
                 Some((key @ ("agent" | "mode"), value)) => {
                     let known = if key == "agent" { "policy or expert" } else { "greedy or sampled" };
                     return Err(format!("{key}={value} is not known: use {known}"));
                 }
-                _ => {
-                    return Err(format!("`{pair}` is not known: use blueprint, after, agent, mode, seed and snapshot"));
-                }
+                _ => return Err(format!("`{pair}` is not known: use {KEYS}")),
             }
         }
         Ok(wishes)
@@ -157,9 +166,32 @@ impl<'q> Wishes<'q> {
     }
 
     fn of(self, blueprint: Blueprint, before: Vec<Blueprint>) -> Order {
-        let Self { builder, acting, seed, snapshot, .. } = self;
-        Order { blueprint, before, builder, acting, seed, snapshot }
+        let Self { builder, acting, seed, snapshot, disturbances, .. } = self;
+        Order { blueprint, before, builder, acting, seed, snapshot, disturbances }
     }
+}
+
+/// Parses `STEP,BLOCK,X,Y,Z,VX,VY,VZ`, or several joined by `_`: a block is moved by meters and pushed by meters per
+/// second.
+fn disturbances(text: &str) -> Result<Vec<(u16, Disturbance)>, String> {
+    let one = |part: &str| {
+        let unknown = || format!("disturb={part}: expected step, block, 3 meters, 3 meters per second");
+        let parts: Vec<_> = part.split(',').collect();
+        let &[step, block, ref rest @ ..] = &parts[..] else { return Err(unknown()) };
+        let step =
+            step.parse::<u16>().ok().filter(|step| usize::from(*step) < MAX_SEGMENT_STEPS).ok_or_else(unknown)?;
+        let block = block.parse::<u8>().ok().and_then(|block| BlockIdx::try_from(block).ok()).ok_or_else(unknown)?;
+        let numbers = rest.iter().map(|number| number.parse().ok()).collect::<Option<Vec<f32>>>();
+        let numbers = numbers.ok_or_else(unknown)?;
+        let &[x, y, z, vx, vy, vz] = &numbers[..] else { return Err(unknown()) };
+        let disturbance = Disturbance::new(block, [x, y, z], [vx, vy, vz]);
+        disturbance.map(|disturbance| (step, disturbance)).map_err(|error| format!("disturb={part}: {error}"))
+    };
+    let all = text.split('_').map(one).collect::<Result<Vec<_>, _>>()?;
+    if all.len() > MAX_DISTURBANCES || !all.is_sorted_by(|(a, _), (b, _)| a < b) {
+        return Err(format!("disturb={text}: expected at most {MAX_DISTURBANCES} steps, in rising order, each once"));
+    }
+    Ok(all)
 }
 
 fn number(key: &str, value: &str) -> Result<u64, String> {
@@ -206,11 +238,7 @@ pub(super) async fn play(
     Extension(catalog): Extension<Arc<Catalog>>,
     RawQuery(query): RawQuery,
 ) -> Response {
-    let Some(stage) = stage else { return nothing_is_played() };
-    match Order::named(query.as_deref().unwrap_or_default(), &catalog) {
-        Ok(order) => perform(stage, order, Form::Replay(replays), false).await,
-        Err(reason) => refused(reason),
-    }
+    answer(stage, &catalog, query, Form::Replay(replays)).await
 }
 
 /// Like [`play`], as a video.
@@ -219,9 +247,13 @@ pub(super) async fn play_video(
     Extension(catalog): Extension<Arc<Catalog>>,
     RawQuery(query): RawQuery,
 ) -> Response {
+    answer(stage, &catalog, query, Form::Video).await
+}
+
+async fn answer(stage: Option<Stage>, catalog: &Catalog, query: Option<String>, form: Form) -> Response {
     let Some(stage) = stage else { return nothing_is_played() };
-    match Order::named(query.as_deref().unwrap_or_default(), &catalog) {
-        Ok(order) => perform(stage, order, Form::Video, false).await,
+    match Order::named(query.as_deref().unwrap_or_default(), catalog) {
+        Ok(order) => perform(stage, order, form, false).await,
         Err(reason) => refused(reason),
     }
 }
@@ -347,11 +379,17 @@ mod tests {
         assert_eq!((order.acting, order.seed), (ActionMode::Sampled, 7));
         let plain = Order::named("blueprint=2_000", catalog).unwrap();
         assert_eq!((plain.builder, plain.acting, plain.seed), (Builder::Policy, ActionMode::Greedy, 0));
-        assert_eq!(plain.snapshot, None);
+        assert_eq!((plain.snapshot, plain.disturbances.len()), (None, 0));
+        let disturbed = Order::named("blueprint=2_000&disturb=4,3,0.5,0,0.25,0,0,0_9,0,0,0,0,1,-2,0", catalog).unwrap();
+        let [moved, pushed] = [(3, [0.5, 0.0, 0.25], [0.0; 3]), (0, [0.0; 3], [1.0, -2.0, 0.0])]
+            .map(|(block, by, push)| Disturbance::new(BlockIdx::try_from(block).unwrap(), by, push).unwrap());
+        assert_eq!(disturbed.disturbances, [(4, moved), (9, pushed)]);
         assert_eq!(Order::named("blueprint=2_000&snapshot=0", catalog).unwrap().snapshot, Some(0));
         let third = Order::named("blueprint=2_000&after=2_001,2_000", catalog).unwrap();
         assert_eq!(third.before.iter().map(|goal| goal.id().as_str()).collect::<Vec<_>>(), ["2_001", "2_000"]);
         let many = format!("blueprint=2_000&after={}", ["2_000"; MAX_IN_A_ROW].join(","));
+        let often: Vec<String> = (0..17).map(|step| format!("{step},0,1,0,0,0,0,0")).collect();
+        let often = format!("blueprint=2_000&disturb={}", often.join("_"));
         for (query, words) in [
             ("", "blueprint=… is missing"),
             ("blueprint=../etc", "no blueprint `../etc`"),
@@ -361,8 +399,22 @@ mod tests {
             (&many, "more than 9 goals"),
             ("blueprint=2_000&agent=me", "agent=me is not known: use policy or expert"),
             ("blueprint=2_000&mode=", "mode= is not known: use greedy or sampled"),
-            ("blueprint=2_000&speed=2", "`speed=2` is not known: use blueprint, after, agent, mode, seed and snapshot"),
+            (
+                "blueprint=2_000&speed=2",
+                "`speed=2` is not known: use blueprint, after, agent, mode, seed, snapshot and",
+            ),
             ("blueprint=2_000&snapshot=last", "snapshot=last is no number"),
+            ("blueprint=2_000&disturb=4,3,1,0,0,0,0", "disturb=4,3,1,0,0,0,0: expected step, block, 3 meters"),
+            ("blueprint=2_000&disturb=4,3,1,0,0,0,0,0_", "disturb=: expected step"),
+            ("blueprint=2_000&disturb=1000,3,1,0,0,0,0,0", "disturb=1000,3"),
+            ("blueprint=2_000&disturb=4,16,1,0,0,0,0,0", "disturb=4,16"),
+            (
+                "blueprint=2_000&disturb=4,3,nan,0,0,0,0,0",
+                "moved by [NaN, 0.0, 0.0] m and pushed by [0.0, 0.0, 0.0] m/s",
+            ),
+            ("blueprint=2_000&disturb=4,3,0,0,0,0,6,0", "but the most along an axis is 2 m and 5 m/s"),
+            ("blueprint=2_000&disturb=4,3,1,0,0,0,0,0_4,2,1,0,0,0,0,0", "in rising order, each once"),
+            (&often, "at most 16 steps"),
         ] {
             let reason = Order::named(query, catalog).unwrap_err();
             assert!(reason.contains(words), "{query}: {reason}");

@@ -95,8 +95,8 @@ impl Keeper {
         write(&self.paths.snapshot(weights.n_env_steps), &bytes)?;
         let mut kept: Vec<_> = self.paths.snapshots().into_iter().collect();
         while kept.len() > most {
-            let gap = |i: &usize| kept[i + 1].0 - kept[i - 1].0;
-            let (_, path) = kept.remove((1..kept.len() - 1).min_by_key(gap).context("there is one between")?);
+            let least = (1..kept.len() - 1).min_by_key(|i| kept[i + 1].0 - kept[i - 1].0);
+            let (_, path) = kept.remove(least.context("there is one between")?);
             fs::remove_file(&path).with_context(|| format!("removing {}", path.display()))?;
         }
         Ok(())

@@ -17,14 +17,14 @@ pub(super) fn stage(
     run: Option<RunPaths>,
 ) -> Stage {
     Stage::new(run.clone(), move |order: &Order, keep_going| {
-        let Order { blueprint, before, builder, acting, seed, snapshot } = order;
-        let snapshot = snapshot.filter(|_| *builder == Builder::Policy).map(|n_env_steps| {
+        let &Order { ref blueprint, ref before, builder, acting, seed, snapshot, ref disturbances } = order;
+        let snapshot = snapshot.filter(|_| builder == Builder::Policy).map(|n_env_steps| {
             let path = run.as_ref().and_then(|run| run.snapshots().remove(&n_env_steps));
             let model = Model::read(&path.ok_or(StageError::NoSnapshot(n_env_steps))?);
             model.map_err(|error| StageError::Failed(error.to_string()))
         });
         let snapshot = snapshot.transpose()?;
-        let performance = Performance { environment: &environment, blueprint, before, acting: *acting, seed: *seed };
+        let performance = Performance { environment: &environment, blueprint, before, acting, seed, disturbances };
         let newest = weights.borrow().clone();
         let performer = match (builder, &snapshot, &newest) {
             (Builder::Expert, ..) => Performer::Expert,

@@ -4,14 +4,14 @@ use blueprints::hash::fnv1a;
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use prost::Message;
 
-use super::check::{array, block, blueprint_id, invalid, narrow, number, present};
+use super::check::{array, block, blueprint_id, invalid, narrow, number, numbers, present};
 use super::scene::{
     action_from_wire, action_to_wire, reward_from_wire, reward_to_wire, scene_from_wire, scene_to_wire,
 };
 use super::{DecodeError, PROTOCOL_VERSION, check_count, check_size, check_version, parse};
 use crate::{
-    ActorId, BehaviorPolicy, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition, WeightsVersion,
-    wire,
+    ActorId, BehaviorPolicy, Disturbance, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition,
+    WeightsVersion, wire,
 };
 
 /// Maximum length of a segment, in steps.
@@ -265,6 +265,11 @@ fn transition_to_wire(transition: &Transition) -> wire::Transition {
         proposal_1: transition.proposals[1].map(u32::from),
         behavior_log_prob: transition.behavior_log_prob,
         reward: Some(reward_to_wire(&transition.reward)),
+        disturbance: transition.disturbance.map(|disturbance| wire::Disturbance {
+            block: u8::from(disturbance.block()).into(),
+            displacement: disturbance.displacement_m().into(),
+            push: disturbance.push_mps().into(),
+        }),
     }
 }
 
@@ -278,7 +283,15 @@ fn transition_from_wire(transition: wire::Transition) -> Result<Transition, Deco
         ],
         behavior_log_prob: number("transition.behavior_log_prob", transition.behavior_log_prob)?,
         reward: reward_from_wire(present("transition.reward", transition.reward)?)?,
+        disturbance: transition.disturbance.map(disturbance_from_wire).transpose()?,
     })
+}
+
+fn disturbance_from_wire(disturbance: wire::Disturbance) -> Result<Disturbance, DecodeError> {
+    let displacement_m = numbers("disturbance.displacement", &disturbance.displacement)?;
+    let push_mps = numbers("disturbance.push", &disturbance.push)?;
+    Disturbance::new(block("disturbance.block", disturbance.block)?, displacement_m, push_mps)
+        .map_err(|error| invalid("disturbance", error, "at most 2 m and 5 m/s, and not nothing"))
 }
 
 fn proposal_from_wire(field: &'static str, proposal: Option<u32>) -> Result<Option<u8>, DecodeError> {

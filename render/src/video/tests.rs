@@ -36,6 +36,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         proposals: [None; 2],
         behavior_log_prob: 0.0,
         reward,
+        disturbance: None,
     };
     let status = if last == 4 { Status::Success } else { Status::Running };
     let outcome = Outcome { success: true, n_steps: 4, episode_return: reward };

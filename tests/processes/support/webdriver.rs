@@ -189,7 +189,12 @@ impl Element<'_> {
 
     /// Presses the mouse button at the element's center, moves it by this many pixels, and releases it.
     pub(crate) fn drag(&self, by: [i32; 2]) {
-        let middle = json!({ "type": "pointerMove", "origin": { ELEMENT: self.id }, "x": 0, "y": 0 });
+        self.drag_from([0, 0], by);
+    }
+
+    /// Does the same from so many pixels beside the center.
+    pub(crate) fn drag_from(&self, from: [i64; 2], by: [i32; 2]) {
+        let middle = json!({ "type": "pointerMove", "origin": { ELEMENT: self.id }, "x": from[0], "y": from[1] });
         let moved = json!({ "type": "pointerMove", "origin": "pointer", "x": by[0], "y": by[1] });
         let [down, up] = ["pointerDown", "pointerUp"].map(|kind| json!({ "type": kind, "button": 0 }));
         let actions = json!([{ "type": "pointer", "id": "mouse", "actions": [middle, down, moved, up] }]);

@@ -7,6 +7,7 @@ import { Editor } from "./editor.js";
 import { askVideos, videoOf } from "./videos.js";
 import { $, count, decimal, element, interval, minutes, percent, sentence } from "./format.js";
 import { drawDrops, drawRoster, Health, toPoint } from "./health.js";
+import { Hand } from "./hand.js";
 import { Heat } from "./heat.js";
 import { answerAt, isCopy, model } from "./model.js";
 import { ChosenOptions } from "./options.js";
@@ -50,6 +51,9 @@ const stage = new Stage(replay, snapshots, {
   choose: $("stage-choose"), previous: $("stage-previous"), next: $("stage-next"), again: $("stage-again"), agent: $("stage-agent"), both: $("stage-both"), mode: $("stage-mode"), success: $("stage-success"),
   onward: $("stage-onward"), keep: $("stage-keep"), video: $("stage-video"), shared: $("stage-shared"), note: $("replay-note"), dialog: $("gallery"),
 });
+new Hand(replay, stage, {
+  modes: $("hand"), block: $("hand-block"), push: $("hand-push"), undo: $("hand-undo"), text: $("hand-text"),
+});
 const editor = new Editor(stage, {
   open: $("draw-open"), board: $("draw-board"), palette: $("draw-palette"), canvas: $("draw-canvas"), layer: $("draw-layer"),
   layerText: $("draw-layer-text"), tools: $("draw-tools"), say: $("draw-say"), problems: $("draw-problems"), list: $("draw-list"),
@@ -60,17 +64,17 @@ const editor = new Editor(stage, {
  * The address of nothing on the stage.
  * @type {Values}
  */
-const NOTHING = { blueprint: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, recording: null, step: null };
+const NOTHING = { blueprint: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, disturb: null, recording: null, step: null };
 const openVideo = (/** @type {Video} */ { id }) => {
   address.set({ ...NOTHING, recording: id }, true);
-  stage.shown = null;
+  stage.leave();
   replay.leave();
   openRecording(replay, $("replay-note"), id);
 };
 $("replay-ask").addEventListener("click", () => {
   // Nobody can see the next one of a training again.
   address.set(NOTHING, true);
-  stage.shown = null;
+  stage.leave();
   askReplay(replay, $("replay-note"), $("replay-ask"));
 });
 $("replay-link").addEventListener("click", () => copyLink($("stage-shared")));
@@ -199,10 +203,10 @@ function introduce(about) {
   about.gripper_colors.forEach((color, i) => document.documentElement.style.setProperty(`--gripper${i}`, `rgb(${color.join(",")})`));
   if (about.kind !== "training") ["members", "dropped", "replay-ask"].forEach((id) => $(id).remove());
   if (!about.can_play) {
-    ["stage-bar", "snapshot-bar", "draw"].forEach((id) => $(id).remove());
+    ["stage-bar", "snapshot-bar", "hand-bar", "draw"].forEach((id) => $(id).remove());
     $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its videos.";
   }
-  else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "draw"].forEach((id) => $(id).remove());
+  else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "hand-bar", "draw"].forEach((id) => $(id).remove());
   if (about.runs.length > 1) chooseRun(about.runs);
   else drawOrigins($("origin"), [{ name: about.run, origin: about.origin }]);
   snapshots.learn();

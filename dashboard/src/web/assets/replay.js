@@ -169,11 +169,12 @@ export class Replay {
   }
 
   /**
-   * Shows an episode, from its start or as the address says, and calls `ended` when playback reaches its end.
+   * Shows an episode, from a step on or as the address says, and calls `ended` when playback reaches its end.
    * @param {Episode[]} episodes one, or two to show in step
    * @param {() => void} [ended]
+   * @param {number} [from] the step
    */
-  show(episodes, ended) {
+  show(episodes, ended, from = 0) {
     const step = address.get("step");
     this.play(false);
     this.ended = ended;
@@ -186,7 +187,7 @@ export class Replay {
     this.parts.attention.show(this.episode);
     this.size();
     this.follows = true;
-    this.seek(0);
+    this.seek(Math.min(from, this.n));
     this.play(step === null && !matchMedia("(prefers-reduced-motion: reduce)").matches);
     address.set({ step });
     this.restore();
@@ -327,11 +328,12 @@ export class Replay {
  * @param {Replay} replay
  * @param {Episode[]} episodes
  * @param {() => void} [ended] called when playback reaches its end
+ * @param {number} [from] the step to begin with
  */
-export async function present(replay, episodes, ended) {
+export async function present(replay, episodes, ended, from) {
   if (!(await replay.prepare(episodes.length))) return;
   replay.parts.player.hidden = false;
-  replay.show(episodes, ended);
+  replay.show(episodes, ended, from);
 }
 
 /**

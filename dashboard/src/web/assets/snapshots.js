@@ -144,6 +144,14 @@ export class Snapshots {
     return weights === null ? own : `after ${count(weights)} steps${built}`;
   }
 
+  /**
+   * Names whose picture it is.
+   * @param {Weights} weights
+   */
+  caption(weights) {
+    return weights === null ? this.told(weights) : `policy ${this.told(weights)}`;
+  }
+
   /** Shows what is chosen. */
   draw() {
     const { bar, slider, text, beside, others, other, otherText } = this.parts;

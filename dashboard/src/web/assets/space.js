@@ -262,6 +262,24 @@ export class Space {
   }
 
   /**
+   * Returns how far a point goes when the pointer drags it in the plane that faces the camera, meters.
+   * @param {Vector} point
+   * @param {[number, number]} from canvas pixel
+   * @param {[number, number]} to
+   * @returns {Vector}
+   */
+  dragged(point, from, to) {
+    const eye = this.camera.position;
+    const depth = new Vector3().fromArray(point).sub(eye);
+    const normal = this.controls.target.clone().sub(eye);
+    const [start, end] = [from, to].map(([x, y]) => {
+      const ray = this.beyond(x, y).sub(eye);
+      return ray.multiplyScalar(depth.dot(normal) / ray.dot(normal));
+    });
+    return end.sub(start).toArray();
+  }
+
+  /**
    * Returns the block at a canvas pixel, or `null`.
    * @param {number} x
    * @param {number} y

@@ -9,7 +9,7 @@ import { saveVideo } from "./share.js";
 
 /** @import { Replay } from "./replay.js" */
 /** @import { Snapshots, Weights } from "./snapshots.js" */
-/** @import { Acting, Agent, Blueprint, Episode } from "./types" */
+/** @import { Acting, Agent, Blueprint, Episode, Vector } from "./types" */
 
 /** Pause before the next episode starts automatically, milliseconds. */
 const REST_MS = 2500;
@@ -79,6 +79,16 @@ export class Stage {
    */
   before = [];
   /**
+   * What the user does to the blocks, as the address names it, in order of steps.
+   * @type {string[]}
+   */
+  disturbances = [];
+  /**
+   * Called with what is about to be shown; nothing if it is not played here.
+   * @type {(episodes: Episode[]) => void}
+   */
+  played = () => {};
+  /**
    * The order of the episode that the stage has shown, unless something else took its place.
    * @type {string | null}
    */
@@ -104,7 +114,7 @@ export class Stage {
     this.parts.next.addEventListener("click", () => this.go(1));
     this.parts.again.addEventListener("click", () => {
       this.seed += 1;
-      this.before = [];
+      [this.before, this.disturbances] = [[], []];
       if (this.chosen || this.drawn) this.build();
       else this.go(1);
     });
@@ -156,9 +166,16 @@ export class Stage {
   start(id, isNew = true) {
     this.snapshots.isThrough = false;
     const stays = this.parts.keep.checked && this.chosen && this.before.length + 1 < IN_A_ROW;
+    this.disturbances = [];
     this.before = stays ? [...this.before, this.chosen] : [];
     [this.chosen, this.drawn] = [id, null];
     this.build(isNew);
+  }
+
+  /** Makes room for what is not played here, such as a recording. */
+  leave() {
+    [this.shown, this.disturbances] = [null, []];
+    this.played([]);
   }
 
   /** Builds what the address names. Returns false if it names nothing. */
@@ -172,6 +189,7 @@ export class Stage {
     this.seed = Math.max(Number.parseInt(address.get("seed"), 10) || 0, 0);
     this.before = (address.get("after") || "").split(",").filter(Boolean);
     this.parts.keep.checked = this.before.length > 0;
+    this.disturbances = (address.get("disturb") || "").split("_").filter(Boolean);
     [this.chosen, this.drawn] = [id, null];
     if (this.order() === this.shown) this.replay.restore();
     else this.perform();
@@ -185,7 +203,7 @@ export class Stage {
    * @param {Agent} agent
    */
   startDrawn(file, title, agent) {
-    [this.drawn, this.before, this.seed] = [{ file, title }, [], 0];
+    [this.drawn, this.before, this.disturbances, this.seed] = [{ file, title }, [], [], 0];
     pick(this.parts.agent, agent);
     this.build();
   }
@@ -197,6 +215,37 @@ export class Stage {
     this.parts.onward.checked = false;
     if (this.chosen || this.drawn) this.build();
     else this.go(1);
+  }
+
+  /**
+   * Moves a block by meters or pushes it by meters per second in a step, and goes on from there.
+   * @param {number} step
+   * @param {number} block
+   * @param {Vector} by
+   * @param {Vector} push
+   */
+  disturb(step, block, by, push) {
+    const numbers = [...by, ...push].map((v) => Number(v.toFixed(3)));
+    const before = this.disturbances.filter((one) => Number.parseInt(one, 10) < step);
+    this.resume([...before, [step, block, ...numbers].join()], step);
+  }
+
+  /** Takes back the last disturbance. */
+  calm() {
+    const step = Number.parseInt(this.disturbances[this.disturbances.length - 1], 10);
+    this.resume(this.disturbances.slice(0, -1), step || 0);
+  }
+
+  /**
+   * Plays the episode with these disturbances, from a step on.
+   * @param {string[]} disturbances
+   * @param {number} step
+   */
+  resume(disturbances, step) {
+    this.disturbances = disturbances;
+    this.snapshots.isThrough = this.parts.onward.checked = false;
+    address.set({ disturb: disturbances.join("_"), step: null }, true);
+    this.perform(step);
   }
 
   /**
@@ -214,7 +263,7 @@ export class Stage {
   /** Returns what is to be built, and how, as text. */
   order() {
     const { snapshot, beside } = this.snapshots.named();
-    return [this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, snapshot, beside, ...this.before].join();
+    return [this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, snapshot, beside, this.disturbances.join("_"), ...this.before].join();
   }
 
   /**
@@ -245,7 +294,7 @@ export class Stage {
    * @param {Builder} builder
    */
   wishes({ agent, weights }) {
-    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}${weights === null ? "" : `&snapshot=${weights}`}`;
+    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}${weights === null ? "" : `&snapshot=${weights}`}${this.disturbances.length > 0 ? `&disturb=${encodeURIComponent(this.disturbances.join("_"))}` : ""}`;
     if (this.drawn) return how;
     const after = this.before.length > 0 ? `&after=${this.before.map(encodeURIComponent).join(",")}` : "";
     return `blueprint=${encodeURIComponent(this.chosen)}&${how}${after}`;
@@ -270,14 +319,17 @@ export class Stage {
     address.set({
       blueprint: this.drawn ? null : this.chosen, agent: agent === "policy" ? null : agent, mode: mode === "greedy" ? null : mode,
       both: this.parts.both.checked ? 1 : null, ...this.snapshots.named(),
-      seed: this.seed || null, after: this.before.join(","), recording: null, step: null,
+      seed: this.seed || null, after: this.before.join(","), disturb: this.disturbances.join("_"), recording: null, step: null,
     }, isNew);
     this.replay.leave();
     this.perform();
   }
 
-  /** Requests the episode and plays it, unless another one has been requested in the meantime. */
-  async perform() {
+  /**
+   * Requests the episode and plays it, unless another one has been requested in the meantime.
+   * @param {number} [from] the step to begin with
+   */
+  async perform(from) {
     if (model.gone) {
       this.parts.note.textContent = model.gone;
       return;
@@ -298,7 +350,7 @@ export class Stage {
     for (const one of builders) {
       const episode = await this.episode(one, isWanted);
       if (!episode) return;
-      if (one.agent === "policy" && this.snapshots.all.length > 0) episode.caption = `policy, ${this.snapshots.told(one.weights)}`;
+      if (one.agent === "policy" && this.snapshots.all.length > 0) episode.caption = this.snapshots.caption(one.weights);
       episodes.push(episode);
     }
     const [{ actor, weights_version: version, blueprint, title, goal }] = episodes;
@@ -306,13 +358,15 @@ export class Stage {
     const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
     // The user may have renamed the drawing since the file was checked.
     this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : title} (${blueprint}), start ${this.seed + 1}${nth}${weights}`;
-    this.shown = this.drawn ? null : this.order();
+    // That of a drawing is no order.
+    this.shown = this.drawn ? "a drawing" : this.order();
+    this.played(episodes);
     this.parts.success.textContent = this.success(goal.length);
     await present(this.replay, episodes, () => setTimeout(() => {
       if (!isWanted() || this.replay.playing || this.replay.time < this.replay.n) return;
       if (this.snapshots.next()) this.build(false);
       else if (this.parts.onward.checked && !this.drawn) this.go(1, false);
-    }, REST_MS));
+    }, REST_MS), from);
   }
 
   /**

@@ -221,6 +221,8 @@ export interface Episode {
   /** The pairs that the goal connects, the lower number first. */
   links: [number, number][];
   scenes: Scene[];
+  /** The steps in which somebody outside moved or pushed a block, and the block. */
+  disturbances: [number, number][];
   attention: Attended | null;
 }
 
@@ -299,6 +301,8 @@ interface Elements {
   "drops": HTMLTableElement;
   "gallery": HTMLDialogElement;
   "groups": HTMLTableElement;
+  "hand-block": HTMLSelectElement;
+  "hand-undo": HTMLButtonElement;
   "heat": HTMLCanvasElement;
   "heat-find": HTMLInputElement;
   "heat-whole": HTMLInputElement;

@@ -2,11 +2,11 @@
 
 import { Follow } from "./follow.js";
 import { Label } from "./labels.js";
-import { apart3, between, placed } from "./solid.js";
+import { add3, apart3, between, placed } from "./solid.js";
 import { verdict } from "./verdict.js";
 
 /** @import { Space } from "./space.js" */
-/** @import { Episode, Rgb } from "./types" */
+/** @import { Episode, Rgb, Vector } from "./types" */
 
 /** @type {Promise<typeof import("./space.js")> | null} */
 let spaceModule = null;
@@ -49,6 +49,12 @@ export class View {
    */
   attention = null;
 
+  /**
+   * The block that the user moves right now, and how far, meters.
+   * @type {{ block: number, by: Vector } | null}
+   */
+  moved = null;
+
   /** @param {Parts} parts */
   constructor(parts) {
     this.parts = parts;
@@ -68,7 +74,7 @@ export class View {
 
   /** @param {Episode} episode */
   load(episode) {
-    this.episode = episode;
+    [this.episode, this.moved] = [episode, null];
     this.n = episode.scenes.length - 1;
     this.follow = new Follow(episode);
     this.space.load(episode);
@@ -115,6 +121,7 @@ export class View {
     const [low, high] = [Math.floor(time), Math.min(Math.floor(time) + 1, this.n)];
     const [from, to, share] = [episode.scenes[low], episode.scenes[high], time - low];
     const poses = from.blocks.map((pose, block) => between(pose, to.blocks[block], share));
+    if (this.moved) poses[this.moved.block] = [...add3(poses[this.moved.block].slice(0, 3), this.moved.by), ...poses[this.moved.block].slice(3)];
     // The frame jumps when another piece becomes the largest. Interpolate only smaller movements.
     const frame = apart3(from.goal_frame, to.goal_frame) < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
     const ghosts = episode.goal.map(([block, pose]) => {

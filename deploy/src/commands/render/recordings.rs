@@ -218,6 +218,7 @@ mod tests {
             proposals: [None; 2],
             behavior_log_prob: 0.0,
             reward: RewardTerms::default(),
+            disturbance: None,
         };
         let mut blocks = BlockIdx::all();
         Trajectory {

@@ -28,6 +28,7 @@ fn segment(n_steps: usize) -> Trajectory {
         proposals: [None; 2],
         behavior_log_prob: 0.0,
         reward: RewardTerms::default(),
+        disturbance: None,
     };
     let mut blocks = BlockIdx::all();
     Trajectory {

@@ -2,7 +2,7 @@
 
 use super::samples;
 use crate::codec::*;
-use crate::{Start, WeightsVersion};
+use crate::{Disturbance, Start, WeightsVersion};
 
 const GOLDEN: &str = include_str!("../../../tests/golden/v2.txt");
 
@@ -25,6 +25,9 @@ fn encoded_bytes_match_the_golden_file() {
     let mut near_goal = samples::one_gripper("actor-1", 3);
     near_goal.task.start = Start::NearGoal { undone: 2 };
     near_goal.transitions.truncate(1);
+    let mut disturbed = samples::of_expert("actor-1", 9);
+    disturbed.transitions.truncate(1);
+    disturbed.transitions[0].disturbance = Disturbance::new(samples::block(5), [0.5, 0.0, 0.25], [0.0, -1.5, 2.0]).ok();
     let version = WeightsVersion(300);
     let refused = |refusal| Refused { refusal, weights_version: version };
     let invalid = refused(Refusal::Invalid("seq is 1".into()));
@@ -35,6 +38,7 @@ fn encoded_bytes_match_the_golden_file() {
         line("trajectory-success", samples::successful("actor-1", 8), encode_trajectory, decode_trajectory),
         line("trajectory-one-gripper", near_goal, encode_trajectory, decode_trajectory),
         line("recording", samples::one_gripper("actor-1", 10), encode_recording, decode_recording),
+        line("trajectory-disturbed", disturbed, encode_recording, decode_recording),
         line(
             "weights",
             published,

@@ -110,6 +110,23 @@ fn invalid_scenes_are_refused() {
 }
 
 #[test]
+fn disturbances_beyond_all_bounds_are_refused() {
+    let disturb = |block, displacement: &[f32], push: &[f32], message: &str| {
+        let disturbance = wire::Disturbance { block, displacement: displacement.into(), push: push.into() };
+        check_wire(|t| t.transitions[0].disturbance = Some(disturbance.clone()), message);
+    };
+    disturb(16, &[1.0; 3], &[0.0; 3], "disturbance.block is 16, expected a block index in 0..16");
+    disturb(3, &[1.0; 2], &[0.0; 3], "disturbance.displacement is 2 values, expected 3 values");
+    disturb(3, &[0.0; 3], &[f32::NAN; 3], "disturbance.push is NaN, expected a number in −1e6..=1e6");
+    let bounds = "expected at most 2 m and 5 m/s, and not nothing";
+    for [displacement, push] in [[[2.1, 0.0, 0.0], [0.0; 3]], [[0.0; 3], [0.0, -5.1, 0.0]], [[0.0; 3], [0.0; 3]]] {
+        let numbers = format!("moved by {displacement:?} m and pushed by {push:?} m/s, but the most along an axis");
+        let quoted: String = numbers.chars().take(80).collect();
+        disturb(3, &displacement, &push, &format!("disturbance is {quoted}, {bounds}"));
+    }
+}
+
+#[test]
 fn inconsistent_endings_are_refused() {
     let endings = "expected running, success or time limit";
     check(|t| t.status = Status::Diverged, &format!("status is 0, {endings}"));

@@ -47,6 +47,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         proposals: [Some(3), None],
         behavior_log_prob: -7.5,
         reward: RewardTerms { connected: 1.0, wrong: -1.0, magnets: 0.5, blocks: -0.25, force: -0.125 },
+        disturbance: None,
     };
     Trajectory {
         actor: actor.parse().unwrap(),
