@@ -353,7 +353,61 @@ fn what_is_drawn_is_checked_and_built() {
     browser.until("replay.episode && replay.episode.blueprint.startsWith('drawn_2_')");
     assert_eq!(browser.run("return replay.episode.end"), "success");
     assert!(browser.text("#replay-note").starts_with("The expert builds my tower"), "{}", browser.text("#replay-note"));
+    // At the end, the picture turns it upright, as it was drawn.
+    let heights = "replay.episode.goal.map(([block, pose]) => replay.main.space.blocks[block].position.z - pose[2])";
+    browser.until(&format!("replay.after > 13 && {heights}.every((z, _, all) => Math.abs(z - all[0]) < 0.02)"));
     assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn a_draft_is_opened_turned_undone_and_saved_under_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["2_000"]) else { return };
+    let says =
+        |words: &str| browser.until(&format!("document.querySelector('#draw-say').textContent.includes({words:?})"));
+    browser.element("#draw-open").click();
+    browser.until("editor.desk && editor.found.blocks");
+    // Two blocks in one place, and one of a type that does not exist.
+    let draft = "blocks = [\n    { type = \"2x1x1\", at = [4, 0, 0], axes = \"+x +y\" }, # the foot\n    { type = \
+                 \"1x1x1\", at = [4, 0, 0] },\n    { type = \"9x9x9\", at = [0, 0, 0] },\n]\n";
+    let path = folder.path().join("my draft.toml");
+    std::fs::write(&path, draft).unwrap();
+    browser.element("#draw-file").press(path.to_str().unwrap());
+    browser.until("document.querySelector('#draw-problems').textContent.includes('overlap')");
+    says("This file is a draft: ");
+    says("1 block is left out. 2 blocks, 0 connections.");
+    let name = || browser.run("return document.querySelector('#draw-name').value");
+    assert_eq!(name(), "my draft");
+    let height = "editor.cells(editor.blocks[0].type, editor.blocks[0].axes)[2]";
+    let act = |what: &str| {
+        browser.run(&format!("editor.act({what:?})"));
+        browser.run(&format!("return {height}"))
+    };
+    browser.run("editor.pick(0)");
+    assert_eq!([act("stand"), act("stand"), act("lie"), act("undo"), act("undo")], [2, 2, 1, 2, 1].map(Value::from));
+    // What would be saved, as its name and its text.
+    browser.run(
+        "URL.createObjectURL = (content) => { window.content = content; return '#saved'; };
+         HTMLAnchorElement.prototype.click = function () { window.fileName = this.download; };",
+    );
+    let saved = || {
+        browser.element("#draw-save").click();
+        browser.run("return [window.fileName, await window.content.text()]")
+    };
+    let [file, text]: [String; 2] = serde_json::from_value(saved()).unwrap();
+    assert_eq!(file, "my draft.toml");
+    assert!(text.contains("title = \"my draft\"") && text.contains("type = \"1x1x1\", at = [-1, 0, 0]"), "{text}");
+    // The name given is that of the file, and can be taken back, as the opening of the file can.
+    browser.element("#draw-name").press(" two");
+    browser.run("editor.pick(1); for (const _ of [0, 1]) editor.act('up')");
+    browser.until("document.querySelector('#draw-problems').textContent.includes('not connected')");
+    assert_eq!(saved()[0], "my draft two.toml");
+    browser.run("for (const _ of [0, 1, 2]) editor.act('undo')");
+    assert_eq!((name(), saved()[0].clone()), (json!("my draft"), json!("my draft.toml")));
+    browser.run("editor.act('undo')");
+    assert_eq!((name(), browser.run("return editor.blocks.length")), (json!(""), json!(0)));
+    // The browser itself logs the answer that the file is no blueprint.
+    assert!(errors(&browser).iter().all(|entry| entry["source"] == "network"));
 }
 
 #[test]

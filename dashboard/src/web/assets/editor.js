@@ -3,6 +3,7 @@
 
 import { address } from "./address.js";
 import { imagesOf, quarter, quaternionOf } from "./axes.js";
+import { readDraft, sizeOf, writeDraft } from "./draft.js";
 import { $, element, sentence } from "./format.js";
 import { NO_ANSWER } from "./model.js";
 import { Pointer } from "./pointer.js";
@@ -43,13 +44,22 @@ const KEPT = "lodestone-drawing";
 export class Editor {
   /** @type {Block[]} */
   blocks = [];
+  /** The name of the drawing. */
+  name = "";
   /**
-   * Earlier blocks as JSON, for undo.
+   * The name of the file that it comes from, until the user gives it another one.
+   * @type {string | null}
+   */
+  file = null;
+  /** What there is to say about the file that was opened. */
+  remark = "";
+  /**
+   * Earlier states as JSON, for undo.
    * @type {string[]}
    */
   past = [];
   /**
-   * Undone blocks as JSON, for redo.
+   * Undone states as JSON, for redo.
    * @type {string[]}
    */
   future = [];
@@ -100,6 +110,12 @@ export class Editor {
     this.parts.layer.addEventListener("input", () => this.lift(Number(this.parts.layer.value)));
     this.parts.match.addEventListener("click", () => this.change(() => { this.blocks.forEach((block) => { block.is_free = true; }); }));
     this.parts.name.addEventListener("input", () => this.ask(false));
+    this.parts.name.addEventListener("change", () => {
+      // No check, which would disable the button that the user is about to press.
+      this.past.push(this.state());
+      [this.name, this.file, this.future] = [this.parts.name.value, null, []];
+      this.speak();
+    });
     for (const agent of /** @type {Agent[]} */ (["policy", "expert"])) this.parts[agent].addEventListener("click", () => this.build(agent));
     this.parts.save.addEventListener("click", () => this.download());
     this.parts.file.addEventListener("change", () => this.upload());
@@ -158,9 +174,7 @@ export class Editor {
    * @returns {Vector}
    */
   cells(type, axes) {
-    const own = this.kinds.get(type).cells;
-    const images = imagesOf(axes);
-    return [0, 1, 2].map((k) => Math.abs(own.reduce((sum, n, i) => sum + n * images[i][k], 0)));
+    return sizeOf(this.kinds.get(type).cells, axes);
   }
 
   /**
@@ -181,13 +195,20 @@ export class Editor {
     return same.length === 1 ? word : `${word} ${same.indexOf(this.blocks[i]) + 1}`;
   }
 
+  /** Returns the state to which undo can return. */
+  state() {
+    return JSON.stringify({ blocks: this.blocks, name: this.name, file: this.file });
+  }
+
   /**
-   * Changes the blocks and saves the previous state for undo.
+   * Changes the drawing and saves the previous state for undo.
    * @param {() => void} how
    */
   change(how) {
-    const before = JSON.stringify(this.blocks);
+    const before = this.state();
+    this.remark = "";
     how();
+    if (this.parts.name.value !== this.name) this.parts.name.value = this.name;
     if (this.selected !== null && this.selected >= this.blocks.length) this.selected = null;
     if (this.past[this.past.length - 1] !== before) this.past.push(before);
     if (this.past.length > 200) this.past.shift();
@@ -235,7 +256,7 @@ export class Editor {
       /** @type {{ title: string, blocks: Block[] }} */
       const { title, blocks } = JSON.parse(localStorage.getItem(KEPT));
       if (!blocks.every(({ type, at, axes }) => this.kinds.has(type) && at.length === 3 && imagesOf(axes))) return;
-      [this.blocks, this.parts.name.value] = [blocks, title];
+      [this.blocks, this.name] = [blocks, title];
     } catch {
       // There is no saved drawing.
     }
@@ -277,7 +298,7 @@ export class Editor {
     const counted = `${n} ${n === 1 ? "block" : "blocks"}, ${connections.length} ${connections.length === 1 ? "connection" : "connections"}`;
     const hint = this.tool ? `Click on the grid, or on a side of a block, to place a ${this.kinds.get(this.tool).word}.` : "Choose a block to place.";
     const more = toml ? "It can be built." : problems.length > 0 ? "" : n < 2 ? hint : "Checking …";
-    this.parts.say.textContent = n === 0 ? hint : `${counted}. ${more}`;
+    this.parts.say.textContent = n === 0 ? hint : [this.remark, `${counted}.`, more].filter(Boolean).join(" ");
     // Update only on changes, so that screen readers do not repeat the list.
     const told = JSON.stringify(problems);
     if (this.told !== told) this.parts.problems.replaceChildren(...problems.map(({ blocks, text }) => {
@@ -287,7 +308,8 @@ export class Editor {
       return element("li", {}, button);
     }));
     this.told = told;
-    for (const button of [this.parts.policy, this.parts.expert, this.parts.save]) button.disabled = !toml;
+    for (const button of [this.parts.policy, this.parts.expert]) button.disabled = !toml;
+    this.parts.save.disabled = n === 0;
     this.parts.match.disabled = !problems.some(({ check }) => check === "polarity");
     this.parts.copy.disabled = !this.stage.chosen;
     /** @type {Record<string, boolean>} */
@@ -405,6 +427,21 @@ export class Editor {
   }
 
   /**
+   * Turns the selected block, or the next one to place, so that its longest or shortest side is upright.
+   * @param {(...sides: number[]) => number} pick
+   */
+  raise(pick) {
+    const block = this.blocks[this.selected];
+    if (!block && !this.tool) return;
+    const [type, axes] = block ? [block.type, block.axes] : [this.tool, this.axes];
+    const height = pick(...this.kinds.get(type).cells);
+    if (this.cells(type, axes)[2] === height) return;
+    const right = this.desk.right();
+    const about = [right, cross3(right, [0, 0, 1])].find((one) => this.cells(type, quarter(axes, one))[2] === height);
+    if (about) this.rotate(about);
+  }
+
+  /**
    * Moves the selected block.
    * @param {Vector} by cells
    */
@@ -430,6 +467,8 @@ export class Editor {
     if (moves[what]) this.shift(moves[what]);
     else if (what === "turn") this.rotate([0, 0, 1]);
     else if (what === "tip") this.rotate(this.tipping(right));
+    else if (what === "stand") this.raise(Math.max);
+    else if (what === "lie") this.raise(Math.min);
     else if (what === "fit") this.desk.all();
     else if (what === "clear") this.change(() => { [this.blocks, this.selected] = [[], null]; });
     else if (what === "remove" && this.selected !== null) {
@@ -448,8 +487,9 @@ export class Editor {
    */
   goBack(from, to) {
     if (from.length === 0) return;
-    to.push(JSON.stringify(this.blocks));
-    this.blocks = JSON.parse(from.pop());
+    to.push(this.state());
+    ({ blocks: this.blocks, name: this.name, file: this.file } = JSON.parse(from.pop()));
+    [this.parts.name.value, this.remark] = [this.name, ""];
     if (this.selected >= this.blocks.length) this.selected = null;
     this.draw();
     this.ask();
@@ -471,6 +511,8 @@ export class Editor {
     else if (key === "ArrowLeft") this.rotate([0, 0, -1]);
     else if (key === "r" || key === "R" || key === "ArrowRight") this.rotate([0, 0, 1]);
     else if (key === "t" || key === "T" || key === "ArrowUp") this.act("tip");
+    else if (key === "s" || key === "S") this.act("stand");
+    else if (key === "l" || key === "L") this.act("lie");
     else if (key === "ArrowDown") this.rotate(this.tipping(this.desk.right()).map((v) => -v));
     else if (key === "Delete" || key === "Backspace") this.act("remove");
     else if (key === "Enter" || key === " ") this.placeNext();
@@ -482,10 +524,11 @@ export class Editor {
   }
 
   /**
-   * Replaces the drawing with the contents of a blueprint file.
+   * Replaces the drawing with the contents of a blueprint file, also of one that cannot be built.
    * @param {string} text
+   * @param {string} file its name without an ending
    */
-  async load(text) {
+  async load(text, file) {
     /** @type {Response} */
     let answer;
     try {
@@ -494,21 +537,27 @@ export class Editor {
       this.parts.say.textContent = NO_ANSWER;
       return;
     }
-    if (!answer.ok) {
-      this.parts.say.textContent = `This file cannot be opened: ${(await answer.text()).trim()}`;
+    const reason = answer.ok ? "" : (await answer.text()).trim();
+    const draft = readDraft(text, this.kinds);
+    if (reason && draft.blocks.length === 0) {
+      this.parts.say.textContent = `This file cannot be opened: ${reason}`;
       // The problems of the drawing would look like those of the file. They come back with its next change.
       this.parts.problems.replaceChildren();
       this.told = null;
       return;
     }
     /** @type {Findings} */
-    const { title, blocks } = await answer.json();
+    const { blocks } = reason ? draft : await answer.json();
     // Center the structure on the grid.
-    const middle = [0, 1].map((k) => Math.floor(Math.max(...blocks.map((b) => b.at[k] + this.cells(b.type, b.axes)[k])) / 2));
-    this.parts.name.value = title;
+    const low = [0, 1, 2].map((k) => Math.min(...blocks.map(({ at }) => at[k])));
+    const middle = [0, 1].map((k) => Math.floor((Math.max(...blocks.map((b) => b.at[k] + this.cells(b.type, b.axes)[k])) - low[k]) / 2));
+    const origin = [low[0] + middle[0], low[1] + middle[1], low[2]];
     this.change(() => {
-      this.blocks = blocks.map((block) => ({ ...block, at: [block.at[0] - middle[0], block.at[1] - middle[1], block.at[2]] }));
+      this.blocks = blocks.map((block) => ({ ...block, at: block.at.map((v, k) => v - origin[k]) }));
+      [this.name, this.file] = [draft.title ?? file, file];
       [this.selected, this.tool] = [null, null];
+      const leftOut = draft.nLeftOut > 0 ? ` ${draft.nLeftOut} ${draft.nLeftOut === 1 ? "block is" : "blocks are"} left out.` : "";
+      this.remark = reason ? `This file is a draft: ${reason}.${leftOut}` : "";
     });
     this.desk.all();
   }
@@ -516,24 +565,26 @@ export class Editor {
   async upload() {
     const [file] = this.parts.file.files;
     this.parts.file.value = "";
-    if (file) await this.load(await file.text());
+    if (file) await this.load(await file.text(), file.name.replace(/\.toml$/i, ""));
   }
 
   /** Opens the blueprint selected in the gallery for editing. */
   async take() {
     try {
       const answer = await fetch(`/api/blueprint?id=${encodeURIComponent(this.stage.chosen)}`);
-      if (answer.ok) await this.load(await answer.text());
+      if (answer.ok) await this.load(await answer.text(), this.stage.chosen);
     } catch {
       this.parts.say.textContent = NO_ANSWER;
     }
   }
 
   download() {
-    if (!this.found.toml) return;
-    const [, id] = /^id = "([^"]+)"/m.exec(this.found.toml);
-    const name = this.parts.name.value.trim().replace(/[^\p{L}\p{N}]+/gu, "-");
-    save(new Blob([this.found.toml], { type: "application/toml" }), `${name || id}.toml`);
+    if (this.blocks.length === 0) return;
+    const text = this.found.toml || writeDraft(this.name, this.blocks);
+    // Some systems allow none of these in the name of a file.
+    const name = (this.file ?? this.name).trim().replace(/[/\\:*?"<>|\p{Cc}]+/gu, "-");
+    const [, id] = /^id = "([^"]+)"/m.exec(text) || [null, "draft"];
+    save(new Blob([text], { type: "application/toml" }), `${name || id}.toml`);
   }
 
   /** @param {Agent} agent */

@@ -2,13 +2,29 @@
 
 import { apart3, placed } from "./solid.js";
 
-/** @import { Box, Episode, Scene, Vector } from "./types" */
+/** @import { Box, Episode, Pose, Scene, Vector } from "./types" */
 
 /** Loose blocks farther than this (meters) from the middle of the goal's blocks may be out of view, as in videos. */
 const REACH_M = 1.6;
 
 /** Blocks farther than this from the origin have fallen off the world, meters. */
 const WORLD_M = 10;
+
+/** Returns the corner with the lowest or highest coordinates. @type {(pick: (...all: number[]) => number, points: Vector[]) => Vector} */
+const corner = (pick, points) => [0, 1, 2].map((i) => pick(...points.map((point) => point[i])));
+
+/** Returns the box around points, and what is near them, meters. @type {(points: Vector[], half: number) => Box} */
+const around = (points, half) => [corner(Math.min, points).map((x) => x - half), corner(Math.max, points).map((x) => x + half)];
+
+/** @type {(boxes: Box[]) => Box} */
+const union = (boxes) => [corner(Math.min, boxes.map(([low]) => low)), corner(Math.max, boxes.map(([, high]) => high))];
+
+/**
+ * Returns the box around the goal's blocks.
+ * @param {Episode} episode
+ * @param {Pose[]} poses
+ */
+export const boxAround = ({ goal, half_extents_m: halves }, poses) => union(goal.map(([block]) => around([poses[block]], Math.max(...halves[block]))));
 
 /** Number of scenes over which the camera movement is smoothed. */
 export const FOLLOW_STEPS = 14;
@@ -22,12 +38,6 @@ export class Follow {
 
   /** @param {Episode} episode */
   constructor({ goal, scenes, half_extents_m: halves }) {
-    /** @type {(pick: (...all: number[]) => number, points: Vector[]) => Vector} */
-    const corner = (pick, points) => [0, 1, 2].map((i) => pick(...points.map((point) => point[i])));
-    /** @type {(points: Vector[], half: number) => Box} */
-    const around = (points, half) => [corner(Math.min, points).map((x) => x - half), corner(Math.max, points).map((x) => x + half)];
-    /** @type {(boxes: Box[]) => Box} */
-    const union = (boxes) => [corner(Math.min, boxes.map(([low]) => low)), corner(Math.max, boxes.map(([, high]) => high))];
     /** @type {(scene: Scene) => Box} */
     const place = ({ goal_frame: frame }) => around(goal.map(([, pose]) => placed(frame, pose)), 0.1);
     const needed = scenes.map((scene) => {

@@ -229,7 +229,7 @@ export class Space {
   /**
    * Moves every block to its pose, and the claws to their grips.
    * @param {Pose[]} poses
-   * @param {number} time in scenes
+   * @param {number | null} time in scenes; `null` hides the claws
    * @param {(number | null)[]} held the block in each gripper
    * @param {Rgb[] | null} shades the blocks' colors instead of their own
    * @param {(Pose | null)[]} ghosts where the goal's blocks belong; `null` for blocks already in place
@@ -242,7 +242,7 @@ export class Space {
       mesh.userData.frame.visible = gripper >= 0;
       if (gripper >= 0) mesh.userData.frame.material.color.copy(this.grippers[gripper].color);
     });
-    this.grippers.forEach((gripper) => gripper.show(gripper.at(this.episode, poses, time)));
+    this.grippers.forEach((gripper) => gripper.show(time === null ? null : gripper.at(this.episode, poses, time)));
     this.ghosts.forEach((mesh, i) => {
       mesh.visible = ghosts[i] !== null;
       if (mesh.visible) put(mesh, ghosts[i]);

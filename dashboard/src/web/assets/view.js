@@ -1,8 +1,9 @@
 // One picture of an episode: its world at a time, the label of the block under the pointer, and the verdict.
 
-import { Follow } from "./follow.js";
+import { FOLLOW_STEPS, Follow, boxAround } from "./follow.js";
 import { Label } from "./labels.js";
 import { add3, apart3, between, placed } from "./solid.js";
+import { upright } from "./upright.js";
 import { verdict } from "./verdict.js";
 
 /** @import { Space } from "./space.js" */
@@ -120,19 +121,24 @@ export class View {
     const { episode, space, time } = this;
     const [low, high] = [Math.floor(time), Math.min(Math.floor(time) + 1, this.n)];
     const [from, to, share] = [episode.scenes[low], episode.scenes[high], time - low];
-    const poses = from.blocks.map((pose, block) => between(pose, to.blocks[block], share));
+    const built = from.blocks.map((pose, block) => between(pose, to.blocks[block], share));
+    // What is built turns upright while the camera settles.
+    const turned = time === this.n && episode.end === "success" ? Math.min((this.over + after) / FOLLOW_STEPS, 1) : 0;
+    const poses = turned > 0 ? upright(built, episode, from.goal_frame, turned) : built;
     if (this.moved) poses[this.moved.block] = [...add3(poses[this.moved.block].slice(0, 3), this.moved.by), ...poses[this.moved.block].slice(3)];
     // The frame jumps when another piece becomes the largest. Interpolate only smaller movements.
     const frame = apart3(from.goal_frame, to.goal_frame) < 0.5 ? between(from.goal_frame, to.goal_frame, share) : from.goal_frame;
     const ghosts = episode.goal.map(([block, pose]) => {
       const there = placed(frame, pose);
-      return hasGhosts && apart3(poses[block], there) > 0.02 ? there : null;
+      return hasGhosts && turned === 0 && apart3(poses[block], there) > 0.02 ? there : null;
     });
     if (follows) {
-      const [lowest, highest] = this.follow.at(time + this.over + after);
+      const box = this.follow.at(time + this.over + after);
+      const end = turned > 0 ? boxAround(episode, poses) : box;
+      const [lowest, highest] = box.map((corner, side) => corner.map((v, k) => v + (end[side][k] - v) * turned));
       space.fit(lowest, highest);
     }
-    space.show(poses, time, from.held, shades, ghosts);
+    space.show(poses, turned > 0 ? null : time, turned > 0 ? [] : from.held, shades, ghosts);
     this.label.draw();
   }
 }
