@@ -69,8 +69,8 @@ fn reward() -> impl Strategy<Value = RewardTerms> {
 
 fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
     let moves = prop::collection::vec(array::<6>(-4.0..4.0), N_BLOCKS).prop_map(|m| m.try_into().unwrap());
-    (scene(two_grippers), 0..16u8, 0..16u8, moves, -90.0..90.0f32, reward()).prop_map(
-        move |(scene, first, second, moves, behavior_log_prob, reward)| Transition {
+    (scene(two_grippers), 0..16u8, 0..16u8, moves, -90.0..90.0f32, reward(), prop::option::of(disturbance())).prop_map(
+        move |(scene, first, second, moves, behavior_log_prob, reward, disturbance)| Transition {
             scene,
             action: Action {
                 choices: [Some(samples::block(first)), two_grippers.then(|| samples::block(second))],
@@ -79,8 +79,15 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
             proposals: [None, Some(50)],
             behavior_log_prob,
             reward,
+            disturbance,
         },
     )
+}
+
+fn disturbance() -> impl Strategy<Value = Disturbance> {
+    (0..16u8, array::<3>(-2.0..2.0), array::<3>(-5.0..5.0)).prop_filter_map("it changes nothing", |(block, by, push)| {
+        Disturbance::new(samples::block(block), by, push).ok()
+    })
 }
 
 fn task() -> impl Strategy<Value = Task> {
