@@ -30,10 +30,10 @@ GOALS = {
     "lines of README.md": 120,
 }
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
-# raises them in a commit that says so; the last were scenes and ONNX for Python, and what finds settings and runs.
+# raises them in a commit that says so; the last were snapshots of a run and disturbances of an episode.
 CEILINGS = {
-    "lines of Rust outside lab/": 77_100,
-    "of it without tests and comments": 40_350,
+    "lines of Rust outside lab/": 77_700,
+    "of it without tests and comments": 40_550,
     "settings": 115,
     "commands": 18,
     "direct dependencies": 54,
