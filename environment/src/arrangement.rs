@@ -156,7 +156,9 @@ impl Arrangement {
 
 /// Returns the pose of a block, raised until it is clear of the ground and of the others.
 pub(crate) fn raised(poses: &[Isometry3<f32>; N_BLOCKS], block: BlockIdx) -> Isometry3<f32> {
-    let solid = |block: BlockIdx, pose| Solid::new(pose, Inventory::standard().half_extents_m(block).into());
+    fn solid(block: BlockIdx, pose: &Isometry3<f32>) -> Solid {
+        Solid::new(pose, Inventory::standard().half_extents_m(block).into())
+    }
     let mut pose = poses[block.get()];
     for _ in 0..MAX_RAISES {
         let own = solid(block, &pose);

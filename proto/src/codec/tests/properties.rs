@@ -85,9 +85,10 @@ fn transition(two_grippers: bool) -> impl Strategy<Value = Transition> {
 }
 
 fn disturbance() -> impl Strategy<Value = Disturbance> {
-    (0..16u8, array::<3>(-2.0..2.0), array::<3>(-5.0..5.0)).prop_filter_map("it changes nothing", |(block, by, push)| {
-        Disturbance::new(samples::block(block), by, push).ok()
-    })
+    (0..16u8, array::<3>(-2.0..2.0), array::<3>(-5.0..5.0))
+        .prop_filter_map("it changes nothing", |(block, by, push)| {
+            Disturbance::new(samples::block(block), by, push).ok()
+        })
 }
 
 fn task() -> impl Strategy<Value = Task> {
