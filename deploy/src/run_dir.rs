@@ -96,7 +96,7 @@ fn commit() -> Option<String> {
             git.arg("-C").arg(checkout).args(["describe", "--always", "--dirty", "--exclude=*"]).output().ok()?;
         Some(String::from_utf8_lossy(&said.stdout).trim().to_owned()).filter(|commit| !commit.is_empty())
     };
-    option_env!("LODESTONE_COMMIT").map(str::to_owned).or_else(asked)
+    option_env!("BUILD_COMMIT").map(str::to_owned).or_else(asked)
 }
 
 fn meta_of(paths: &RunPaths) -> Option<serde_json::Map<String, Value>> {

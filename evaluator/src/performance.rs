@@ -192,7 +192,7 @@ mod tests {
         let joined = |episode: &Trajectory, step: usize| episode.transitions[step].scene.joints.len();
         let step = (0..quiet.transitions.len()).find(|&step| joined(&quiet, step) == 1).unwrap();
         let block = quiet.transitions[step].scene.joints[0].b;
-        let moved = Disturbance::new(block, [0.0, 0.0, -0.5], [0.0; 3]).unwrap();
+        let moved = Disturbance::new(block, [1.0, 0.0, -0.5], [0.0; 3]).unwrap();
         let pushed = Disturbance::new(block, [0.0; 3], [1.0, 0.0, 2.0]).unwrap();
         let disturbances = [(step as u16, moved), (step as u16 + 5, pushed), (999, pushed)];
         let disturbed = play(&[], &disturbances);

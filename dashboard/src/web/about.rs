@@ -7,8 +7,6 @@ use render::picture::GRIPPER_COLORS;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::routes::base;
-
 /// The kind of page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
@@ -62,6 +60,11 @@ impl About {
         let first = || FIRST.parse().expect("the catalog has it");
         self.blueprints.first().cloned().unwrap_or_else(first)
     }
+}
+
+/// Returns the path prefix of the run with index `place`.
+pub(super) fn base(place: usize) -> String {
+    if place == 0 { String::new() } else { format!("/runs/{place}") }
 }
 
 /// Returns the response to `/api/about`; `runs` are the names of all runs of the page.

@@ -14,6 +14,7 @@ use hyper::service::Service;
 use hyper_util::service::TowerToHyperService;
 use serde_json::{Value, json};
 
+use super::about::base;
 use super::assets;
 use super::events::Places;
 use super::routes::{self, Shown};
@@ -42,7 +43,7 @@ pub(super) async fn export(
     let unmade = || format!("cannot make the folder {}, which must be new", folder.display());
     ensure!(!folder.exists(), unmade());
     let unfinished = Unfinished::create(folder).with_context(unmade)?;
-    let bases: Vec<String> = (0..=others.len()).map(routes::base).collect();
+    let bases: Vec<String> = (0..=others.len()).map(base).collect();
     let routes = TowerToHyperService::new(routes::routes(first, others, Places::default(), Valid::default()));
     let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
     for (path, _, text) in assets::all() {

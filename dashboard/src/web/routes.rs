@@ -18,7 +18,7 @@ use blueprints::Catalog;
 use serde_json::json;
 use tokio::task::JoinError;
 
-use super::about::{About, Kind, about};
+use super::about::{About, Kind, about, base};
 use super::assets;
 use super::board::Board;
 use super::drawing::{self, OneCheck};
@@ -93,11 +93,6 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: V
                 .with_state(board),
         )
         .layer(from_fn_with_state(guard, set_headers))
-}
-
-/// Returns the path prefix of the run with index `place`.
-pub(super) fn base(place: usize) -> String {
-    if place == 0 { String::new() } else { format!("/runs/{place}") }
 }
 
 /// Name of a run.
