@@ -32,7 +32,7 @@ pub const PRESETS: &[Preset] = presets![
         "about 35 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time";
     "near-goal": "a check of the whole system, with one small goal", "one to two minutes on two cores";
     "paper": "the paper's protocol, for comparisons with it",
-        "months on two cores: meant for hundreds of actors and a GPU, and for weeks with them";
+        "months on two cores: meant for hundreds of actors, and for weeks with them";
 ];
 
 impl Preset {
