@@ -183,19 +183,19 @@ mod tests {
     #[test]
     fn a_disturbed_episode_is_recorded_goes_on_and_replays_exactly() {
         let environment = Valid::default();
-        let goal = Catalog::builtin().get(&"3_000".parse().unwrap()).unwrap();
-        let play = |disturbances| {
-            let performance = Performance { disturbances, ..calm(&environment, goal, 1) };
+        let goals = ["3_000", "2_000"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
+        let play = |before, disturbances| {
+            let performance = Performance { before, disturbances, ..calm(&environment, &goals[0], 1) };
             perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
         };
-        let quiet = play(&[]);
+        let quiet = play(&[], &[]);
         let joined = |episode: &Trajectory, step: usize| episode.transitions[step].scene.joints.len();
         let step = (0..quiet.transitions.len()).find(|&step| joined(&quiet, step) == 1).unwrap();
         let block = quiet.transitions[step].scene.joints[0].b;
         let moved = Disturbance::new(block, [1.0, 0.0, -0.5], [0.0; 3]).unwrap();
         let pushed = Disturbance::new(block, [0.0; 3], [1.0, 0.0, 2.0]).unwrap();
         let disturbances = [(step as u16, moved), (step as u16 + 5, pushed), (999, pushed)];
-        let disturbed = play(&disturbances);
+        let disturbed = play(&[], &disturbances);
         // It comes off the others and out of the ground, and the expert builds the goal all the same.
         let scenes =
             |episode: &Trajectory| episode.transitions[..=step].iter().map(|t| t.scene.clone()).collect::<Vec<_>>();
@@ -219,6 +219,12 @@ mod tests {
             world.step(&transition.action);
         }
         assert_eq!(world.scene(), &read.last_scene);
+        // What was built before stays as it was.
+        let early = [(0, moved)];
+        let [second, calm] = [&early[..], &[]].map(|disturbances| play(&goals[1..], disturbances));
+        assert_eq!(second.transitions[0].scene, calm.transitions[0].scene);
+        assert_ne!(second.transitions[1].scene, calm.transitions[1].scene);
+        assert_eq!(recorded(&second), early);
     }
 
     #[test]
