@@ -59,6 +59,58 @@ fn a_link_shows_the_same_picture() {
 }
 
 #[test]
+fn a_disturbed_episode_goes_on_from_there_and_comes_back_with_its_link() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some((browser, _playing)) = played(folder.path(), &["3_000"]) else { return };
+    let address = || browser.run("return location.href").as_str().unwrap().to_owned();
+    browser.until("replay.episode?.blueprint === '3_000'");
+    let here = address();
+    let link = format!("{}?blueprint=3_000&agent=expert&seed=3&step=9", &here[..=here.rfind('/').unwrap()]);
+    browser.open(&link);
+    browser.until("replay.episode?.actor === 'expert' && replay.time === 9");
+    let scenes = |part: &str| browser.run(&format!("return JSON.stringify(replay.episode.scenes.slice({part}))"));
+    let (start, rest) = (scenes("0, 10"), scenes("10"));
+    let disturbed = |n: usize| browser.until(&format!("replay.episode.disturbances.length === {n}"));
+    // The pointer takes hold of a block and lifts it.
+    browser.element("#hand input[value=move]").click();
+    let place = "const { space, episode } = replay.main;
+        document.querySelector('#replay').scrollIntoView({ block: 'center' });
+        const { x, y } = space.blocks[episode.goal[0][0]].position.clone().project(space.camera);
+        return [(x / 2) * space.size[0], (-y / 2) * space.size[1]].map(Math.round)";
+    let place: [i64; 2] = serde_json::from_value(browser.run(place)).unwrap();
+    browser.element("#replay").drag_from(place, [10, -70]);
+    disturbed(1);
+    browser.until("location.search.includes('disturb=9,')");
+    assert_eq!(scenes("0, 10"), start);
+    assert_ne!(scenes("10"), rest);
+    let moved = "const [[step, block]] = replay.episode.disturbances;
+        const [before, after] = [step, step + 1].map((n) => replay.episode.scenes[n].blocks[block]);
+        return apart3(before, after)";
+    assert!(browser.run(moved).as_f64().is_some_and(|far_m| far_m > 0.05));
+    // Another one is knocked without a pointer.
+    browser.run("replay.play(false); replay.seek(12)");
+    browser.element("#hand-push").click();
+    disturbed(2);
+    browser.until("!replay.playing && replay.time === replay.n && location.search.includes('step=')");
+    assert!(browser.text("#hand-text").starts_with("Disturbed at step 9: "), "{}", browser.text("#hand-text"));
+    let (seen, twice) = (scenes("0"), address());
+    browser.open("about:blank");
+    browser.open(&twice);
+    browser.until("replay.episode?.disturbances.length === 2");
+    assert_eq!(scenes("0"), seen);
+    // All of it can be taken back.
+    browser.element("#hand-undo").click();
+    disturbed(1);
+    browser.element("#hand-undo").click();
+    disturbed(0);
+    assert_eq!((scenes("0, 10"), scenes("10")), (start, rest));
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+    browser.open(&format!("{link}&disturb=4,99,1,0,0,0,0,0"));
+    browser
+        .until("document.querySelector('#replay-note').textContent.startsWith('disturb=4,99,1,0,0,0,0,0: expected ')");
+}
+
+#[test]
 fn the_keyboard_alone_chooses_steps_and_draws() {
     let folder = tempfile::tempdir().unwrap();
     let Some((browser, _playing)) = played(folder.path(), &["2_000"]) else { return };

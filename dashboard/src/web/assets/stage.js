@@ -294,7 +294,9 @@ export class Stage {
    * @param {Builder} builder
    */
   wishes({ agent, weights }) {
-    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}${weights === null ? "" : `&snapshot=${weights}`}${this.disturbances.length > 0 ? `&disturb=${encodeURIComponent(this.disturbances.join("_"))}` : ""}`;
+    // The server takes commas as they are.
+    const disturb = encodeURIComponent(this.disturbances.join("_")).replaceAll("%2C", ",");
+    const how = `agent=${agent}&mode=${picked(this.parts.mode)}&seed=${this.seed}${weights === null ? "" : `&snapshot=${weights}`}${disturb && `&disturb=${disturb}`}`;
     if (this.drawn) return how;
     const after = this.before.length > 0 ? `&after=${this.before.map(encodeURIComponent).join(",")}` : "";
     return `blueprint=${encodeURIComponent(this.chosen)}&${how}${after}`;
