@@ -156,9 +156,8 @@ impl Arrangement {
 
 /// Returns the pose of a block, raised until it is clear of the ground and of the others.
 pub(crate) fn raised(poses: &[Isometry3<f32>; N_BLOCKS], block: BlockIdx) -> Isometry3<f32> {
-    fn solid(block: BlockIdx, pose: &Isometry3<f32>) -> Solid {
-        Solid::new(pose, Inventory::standard().half_extents_m(block).into())
-    }
+    let solid =
+        |block: BlockIdx, at: &Isometry3<f32>| Solid::new(at, Inventory::standard().half_extents_m(block).into());
     let mut pose = poses[block.get()];
     for _ in 0..MAX_RAISES {
         let own = solid(block, &pose);

@@ -526,7 +526,6 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     // Without new data, nothing is redrawn, so elements stay valid while they are checked.
     watched.line.cut();
     browser.until("document.querySelector('#state').textContent === 'reconnecting'");
-    // What is hidden has no name for screen readers.
     let all = "main section, main button, main input, main [role=img], .scroll";
     let named = browser.elements(&format!(":is({all}):not([hidden], [hidden] *, details:not([open]) *)"));
     assert!(named.len() > 20, "{}", named.len());

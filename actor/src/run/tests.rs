@@ -211,8 +211,7 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
     let sender = bus.trajectory_sender(&toy::identity().actor).await.unwrap();
     sender.wait_for_learner().await;
-    // The server learns of the token on its own, and until then nobody owns the name. It is owned once one of two
-    // processes in turns is refused.
+    // Nobody owns the name until the server knows its token. Then, one of two processes in turns is refused.
     let mut n_accepted = 0;
     loop {
         let trajectory = Trajectory { epoch: 1 + n_accepted % 2, seq: n_accepted, ..toy::trajectory() };
