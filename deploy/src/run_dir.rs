@@ -3,7 +3,6 @@
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::time::SystemTime;
 
 use blueprints::catalog::is_hidden;
@@ -86,17 +85,16 @@ struct Meta<'a> {
     resumed_from: Option<String>,
 }
 
-/// The commit that the program is built from: the one that its build named, or that of the checkout that it lies in.
+/// The commit that the program's build named, or else that of the checkout that it lies in. Its log is read without git:
+/// a child could hold the lock of a run for a moment.
 fn commit() -> Option<String> {
     let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).parent()?;
-    let asked = || {
+    let logged = || {
         std::env::current_exe().ok().filter(|program| program.starts_with(checkout))?;
-        let mut git = Command::new("git");
-        let said =
-            git.arg("-C").arg(checkout).args(["describe", "--always", "--dirty", "--exclude=*"]).output().ok()?;
-        Some(String::from_utf8_lossy(&said.stdout).trim().to_owned()).filter(|commit| !commit.is_empty())
+        let log = fs::read_to_string(checkout.join(".git/logs/HEAD")).ok()?;
+        Some(log.lines().last()?.split(' ').nth(1)?.get(..12)?.to_owned())
     };
-    option_env!("BUILD_COMMIT").map(str::to_owned).or_else(asked)
+    option_env!("BUILD_COMMIT").map(str::to_owned).or_else(logged)
 }
 
 fn meta_of(paths: &RunPaths) -> Option<serde_json::Map<String, Value>> {
