@@ -15,8 +15,10 @@ logit of a pick from the two blocks and the edge that it is about.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -45,6 +47,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--entropy", type=float, default=0.003)
     parser.add_argument("--width", type=int, default=64)
     parser.add_argument("--trials", type=int, default=64, help="episodes that are played before and after")
+    parser.add_argument("--metrics", type=Path, help="write a line of JSON here after each update, for lab/learning.py")
     return parser.parse_args()
 
 
@@ -183,11 +186,13 @@ def main() -> None:
     optimizer = torch.optim.Adam(agent.parameters(), lr=args.rate, eps=1e-5)
     print("untrained,", success(agent, args), flush=True)
     finished: deque[bool] = deque(maxlen=200)
+    metrics = args.metrics.open("w", buffering=1) if args.metrics else None
     n_updates, began = args.steps // (args.worlds * args.rollout), time.monotonic()
     for update in range(1, n_updates + 1):
         optimizer.param_groups[0]["lr"] = args.rate * (1 - (update - 1) / n_updates)
         kept: list[tuple[dict[str, Tensor], Tensor, Tensor, Tensor, Tensor]] = []
         rewards, ends = torch.zeros(args.rollout, args.worlds), torch.zeros(args.rollout, args.worlds)
+        n_built = n_ended = 0
         for step in range(args.rollout):
             with torch.no_grad():
                 picks, log_probs, _, values = agent.act(seen, offered)
@@ -202,6 +207,7 @@ def main() -> None:
                 with torch.no_grad():
                     rewards[step, torch.from_numpy(truncated)] += args.gamma * agent.values(tensors(stacked))
             finished.extend(terminated[terminated | truncated].tolist())
+            n_built, n_ended = n_built + int(terminated.sum()), n_ended + int((terminated | truncated).sum())
             seen, offered = tensors(after), offers(envs)
         with torch.no_grad():
             next_value = agent.values(seen)
@@ -231,10 +237,15 @@ def main() -> None:
                 loss.backward()
                 nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
                 optimizer.step()
+        n_steps, elapsed_s = update * args.worlds * args.rollout, time.monotonic() - began
+        if metrics:
+            # With the names of Lodestone's own metrics.jsonl.
+            episodes = {"success": {"n_successes": n_built, "n_episodes": n_ended}}
+            line = {"key": "learner", "n_env_steps": n_steps, "elapsed_s": elapsed_s, "episodes": episodes}
+            metrics.write(json.dumps(line) + "\n")
         if update % 5 == 0 or update == n_updates:
-            n_steps = update * args.worlds * args.rollout
             share = f"{np.mean(finished):.0%}" if finished else "–"
-            rate = n_steps / (time.monotonic() - began)
+            rate = n_steps / elapsed_s
             print(
                 f"{n_steps:>9,} steps  success {share:>4} of the last {len(finished)}  {rate:,.0f} steps/s", flush=True
             )

@@ -6,6 +6,7 @@ python -m unittest discover -s python/tests
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -13,10 +14,12 @@ import sys
 import tempfile
 import unittest
 from pathlib import Path
+from typing import Any
 
 import lodestone
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
+LAB = Path(__file__).parents[2] / "lab"
 PROGRAM = os.environ.get("LODESTONE_PROGRAM")
 # Settings of a training that takes a moment.
 SMALL = (
@@ -38,6 +41,26 @@ def needs(*packages: str):
     return unittest.skipIf(missing, f"not run: no package {', '.join(missing)}")
 
 
+def learning() -> Any:
+    """Returns the module of lab/learning.py."""
+    spec = importlib.util.spec_from_file_location("learning", LAB / "learning.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def write_metrics(folder: Path, updates: list[tuple[int, int]]) -> Path:
+    """Writes a run's metrics: a learner's line each for these successes and episodes, and one of an actor."""
+    lines = [{"key": "actor/a"}]
+    for i, (n_successes, n_episodes) in enumerate(updates, 1):
+        success = {"n_successes": n_successes, "n_episodes": n_episodes}
+        line = {"key": "learner", "n_env_steps": 100 * i, "elapsed_s": i, "run_elapsed_s": 0}
+        lines.append({**line, "episodes": {"success": success}})
+    path = folder / "metrics.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
+
+
 class Examples(unittest.TestCase):
     def run_example(self, name: str, *args: str, **environment: str) -> str:
         """Runs an example; returns what it prints."""
@@ -49,7 +72,12 @@ class Examples(unittest.TestCase):
 
     def test_ppo_learns_to_build_goals_of_two_blocks(self) -> None:
         # Twelve updates instead of the default 58.
-        lines = self.run_example("ppo.py", "--steps", "12288").splitlines()
+        with tempfile.TemporaryDirectory() as folder:
+            metrics = Path(folder, "ppo.jsonl")
+            lines = self.run_example("ppo.py", "--steps", "12288", "--metrics", str(metrics)).splitlines()
+            learned = learning().curve(metrics)
+        self.assertEqual([moment.n_env_steps for moment in learned][-3:], [10240, 11264, 12288])
+        self.assertGreater(learned[-1].success, learned[0].success)
         shares = [re.fullmatch(r"(?:un)?trained, builds (\d+)% of 64 trials", line) for line in (lines[0], lines[-1])]
         before, after = (int(found[1]) if found else -1 for found in shares)
         # 47% and 100%; random picks build two fifths.
@@ -59,6 +87,25 @@ class Examples(unittest.TestCase):
             re.fullmatch(r" *[\d,]+ steps  success +\d+% of the last \d+  [\d,]+ steps/s", x) for x in lines[1:-1]
         ]
         self.assertEqual([bool(found) for found in reports], [True] * 3, lines)
+
+    def test_a_curve_is_success_of_the_last_episodes(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            metrics = write_metrics(Path(folder), [(50, 100), (100, 100), (0, 100), (1, 1000), (0, 0)])
+            found = [(moment.n_env_steps, moment.success) for moment in learning().curve(metrics)]
+            # The first update leaves with the third, which makes 200 episodes without it.
+            self.assertEqual(found, [(100, 0.5), (200, 0.75), (300, 0.5), (400, 0.001), (500, 0.001)])
+            metrics.write_text("{}")
+            with self.assertRaisesRegex(SystemExit, "metrics.jsonl:1 is no line of metrics"):
+                learning().curve(metrics)
+
+    @needs("matplotlib")
+    def test_learning_curves_are_drawn(self) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            metrics = write_metrics(Path(folder), [(50, 200), (100, 200)])
+            picture = Path(folder, "learning.png")
+            command = [sys.executable, str(LAB / "learning.py"), str(picture), f"one file={metrics}", str(metrics)]
+            subprocess.run(command, check=True, capture_output=True)
+            self.assertEqual(picture.read_bytes()[1:4], b"PNG")
 
     @needs("sb3_contrib")
     def test_stable_baselines_learns_and_builds(self) -> None:
