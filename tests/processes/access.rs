@@ -3,34 +3,22 @@
 use std::fs;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::support::judges::{python, told_by_script};
-use crate::support::program::lodestone;
+use crate::support::program::{finished, lodestone, refused};
+use crate::support::served::Process;
 use serde_json::{Value, json};
 
 /// Time limit for every wait.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A process that is killed when dropped.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Both calls fail only if the process has already exited, which is fine.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-impl Process {
-    /// Resident memory in bytes.
-    fn memory(&self) -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
-        let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
-        line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 1024
-    }
+/// Resident memory of a process in bytes.
+fn resident(process: &Process) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{}/status", process.0.id())).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap() * 1024
 }
 
 /// A router with keys, which members can join.
@@ -125,7 +113,7 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
         (text.contains("honest") && text.contains("evaluator heard")).then_some(())
     });
 
-    let memory = [ring.router.memory(), learner.memory()];
+    let memory = [resident(&ring.router), resident(&learner)];
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/rogue.py");
     let [keys, strangers] = ["keys", "strangers"].map(|name| ring.path(name).display().to_string());
     let report = told_by_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "near-goal"]);
@@ -174,7 +162,7 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     let n_received = count(&update, "/ingest/received_total");
     assert!((n_verdicts..=n_verdicts + 256).contains(&n_received), "{n_received} received, {n_verdicts} verdicts");
     for (before, process) in memory.into_iter().zip([&ring.router, &learner]) {
-        let grown = process.memory().saturating_sub(before);
+        let grown = resident(process).saturating_sub(before);
         assert!(grown < 300 << 20, "{grown} bytes");
     }
     // The training went on during the attacks, and still does.
@@ -193,10 +181,7 @@ fn nobody_listens_to_the_world_without_keys() {
         (&["actor", "--connect", "quic/127.0.0.1:1"], &["quic/127.0.0.1:1", "--keys"]),
         (&["actor", "--connect", "quic/127.0.0.1:1", "--keys", "absent"], &["absent/ca.pem", "lodestone keys new"]),
     ] {
-        let output = lodestone(folder.path()).args(args).output().unwrap();
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(64), "{args:?}: {stderr}");
-        assert!(words.iter().all(|word| stderr.contains(word)), "{args:?}: {stderr}");
+        refused(lodestone(folder.path()).args(args), 64, words);
     }
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }
@@ -205,8 +190,8 @@ fn nobody_listens_to_the_world_without_keys() {
 fn keys_are_private_whole_and_never_overwritten() {
     use std::os::unix::fs::PermissionsExt;
     let folder = tempfile::tempdir().unwrap();
-    let run = |args: &[&str]| lodestone(folder.path()).args(args).output().unwrap();
-    assert!(run(&["keys", "new", "keys", "--host", "router,10.0.0.7"]).status.success());
+    let keys = |args: &[&str]| finished(lodestone(folder.path()).arg("keys").args(args));
+    keys(&["new", "keys", "--host", "router,10.0.0.7"]);
     let mode = |path: PathBuf| fs::metadata(path).unwrap().permissions().mode() & 0o777;
     for role in ["ca", "router", "learner", "actor", "evaluator", "viewer"] {
         let of_role = folder.path().join("keys").join(role);
@@ -217,15 +202,14 @@ fn keys_are_private_whole_and_never_overwritten() {
     }
     let key = || fs::read(folder.path().join("keys/router/key.pem")).unwrap();
     let before = key();
-    assert_eq!(run(&["keys", "new", "keys"]).status.code(), Some(2));
-    assert!(run(&["keys", "new", "keys", "--keep"]).status.success());
+    refused(lodestone(folder.path()).args(["keys", "new", "keys"]), 2, &[]);
+    keys(&["new", "keys", "--keep"]);
     assert_eq!(key(), before);
     let authority = fs::read(folder.path().join("keys/actor/ca.pem")).unwrap();
-    assert!(run(&["keys", "router", "keys", "--host", "elsewhere"]).status.success());
+    keys(&["router", "keys", "--host", "elsewhere"]);
     assert_ne!(key(), before);
     assert_eq!(fs::read(folder.path().join("keys/router/ca.pem")).unwrap(), authority);
-    let refused = run(&["keys", "new", "others", "--host", "not a name"]);
-    let message = String::from_utf8(refused.stderr).unwrap();
-    assert_eq!(refused.status.code(), Some(64), "{message}");
-    assert!(message.contains("`not a name`") && !folder.path().join("others").exists(), "{message}");
+    let wrong = ["keys", "new", "others", "--host", "not a name"];
+    refused(lodestone(folder.path()).args(wrong), 64, &["`not a name`"]);
+    assert!(!folder.path().join("others").exists());
 }

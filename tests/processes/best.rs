@@ -9,15 +9,14 @@ use runlog::series::outcome_of;
 use runlog::{History, Pass, RunPaths};
 use serde_json::json;
 
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{finished, lodestone, n_saved_steps, printed};
 use crate::support::served::{Process, train};
 
 /// Trains a small run that evaluates its weights all the time.
 fn trained(folder: &Path) -> RunPaths {
     let mut command = lodestone(folder);
     let run = train(&mut command).args(["--no-web", "--steps", "4096", "--set", "evaluator.every={versions=1}"]);
-    let run = run.args(["--set", "evaluator.evaluate_last=true"]).output().unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    finished(run.args(["--set", "evaluator.evaluate_last=true"]));
     RunPaths::new(folder.join("run"))
 }
 
@@ -71,7 +70,7 @@ fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes
     assert_eq!(export(&format!("run/checkpoints/step-{newest}")).0, Some(newest));
 
     let eval = ["eval", "--checkpoint", "run", "--episodes", "1", "--blueprint", "2_000", "--json"];
-    let evaluated = lodestone(folder.path()).args(eval).output().unwrap();
+    let evaluated = finished(lodestone(folder.path()).args(eval));
     let report: serde_json::Value = serde_json::from_slice(&evaluated.stdout).unwrap();
     assert_eq!(report["summary"]["n_env_steps"], 77);
     assert!(String::from_utf8_lossy(&evaluated.stderr).contains(said));
@@ -83,8 +82,7 @@ fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes
     assert!(lines.any(|line| line.contains(said)));
 
     let again = ["train", "--resume", "run", "--steps", &newest.to_string(), "--json", "--no-web"];
-    let resumed = lodestone(folder.path()).args(again).output().unwrap();
-    let summary: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&printed(lodestone(folder.path()).args(again))).unwrap();
     assert_eq!(summary["n_env_steps"], newest);
 
     // Nothing but a damaged file keeps the newest from taking its place.

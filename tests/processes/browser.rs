@@ -1,12 +1,11 @@
 //! The web page in a real browser, with a real run: it shows the recorded numbers, updates live, plays episodes, and
 //! reconnects.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use crate::support::line::Line;
 use crate::support::played::{errors, played};
-use crate::support::served::{Process, interrupt};
+use crate::support::served::{Process, endless, interrupt, page};
 use crate::support::webdriver::Browser;
 use blueprints::Catalog;
 use runlog::Pass;
@@ -52,7 +51,7 @@ impl Watched {
         };
         let folder = tempfile::tempdir().unwrap();
         // Its output is dropped; the run continues with a closed stdout.
-        let (run, _, address) = crate::support::served::endless(folder.path());
+        let (run, _, address) = endless(folder.path());
         let line = Line::to(&address);
         let browser = Browser::start(&driver, folder.path());
         browser.open(&format!("http://{}/", line.address()));
@@ -501,9 +500,8 @@ fn a_page_says_that_its_run_has_ended_and_how_to_see_it_again() {
     // A shell reads the command as it stands there.
     let mut shell = Command::new("bash");
     shell.args(["-c", &format!("exec {}", browser.text("#farewell code"))]).current_dir(watched.folder.path());
-    let mut again = Process(shell.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(again.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    browser.open(&lines.find_map(|line| Some(line.strip_prefix("page at ")?.to_owned())).unwrap());
+    let (again, _printed, address) = page(&mut shell);
+    browser.open(&format!("http://{address}"));
     browser.until("document.querySelector('#state').textContent === 'finished'");
     // The run was interrupted, and nothing continues it.
     browser.until("document.querySelector('#tiles').textContent.includes('environment steps')");

@@ -2,19 +2,10 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use crate::support::judges::{python, told_by_script};
-
-/// Runs `lodestone` in `folder` without the caller's `LODESTONE_*` variables and `RUST_LOG`, but with `variables`.
-fn lodestone(folder: &Path, args: &[&str], variables: &[(&str, &str)]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
-    command.args(args).current_dir(folder);
-    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
-        command.env_remove(name);
-    }
-    command.envs(variables.iter().copied()).output().unwrap()
-}
+use crate::support::program::{finished, lodestone, names, printed, refused};
 
 /// Expects this exit code and all of `words` on stderr.
 fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, code: i32, words: &[&str]) {
@@ -22,12 +13,7 @@ fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, 
     if let Some(text) = file {
         std::fs::write(folder.path().join("my.toml"), text).unwrap();
     }
-    let output = lodestone(folder.path(), args, variables);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
-    for word in words {
-        assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
-    }
+    refused(lodestone(folder.path()).args(args).envs(variables.iter().copied()), code, words);
     assert!(!folder.path().join("runs").exists(), "{args:?} left a run directory behind");
 }
 
@@ -146,10 +132,9 @@ fn whatever_is_missing_is_named_with_one_code() {
     }
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir_all(folder.path().join("runs/2026-11-26T0800-quickstart")).unwrap();
-    let output = lodestone(folder.path(), &["eval", "--checkpoint", "runs/2026-11-26T0800-quickstrat"], &[]);
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(66), "{stderr}");
-    assert!(stderr.contains("quickstrat does not exist; did you mean `runs/2026-11-26T0800-quickstart`?"), "{stderr}");
+    let alike = "quickstrat does not exist; did you mean `runs/2026-11-26T0800-quickstart`?";
+    let eval = ["eval", "--checkpoint", "runs/2026-11-26T0800-quickstrat"];
+    refused(lodestone(folder.path()).args(eval), 66, &[alike]);
 }
 
 #[test]
@@ -172,19 +157,15 @@ fn layers_are_put_over_each_other_in_order() {
     std::fs::write(folder.path().join("my.toml"), "seed = 1\n[actor]\nn_worlds = 11\nsegment_len = 11").unwrap();
     let variables = [("LODESTONE_ACTOR__N_WORLDS", "12"), ("LODESTONE_SEED", "12")];
     let args = ["train", "--config", "my.toml", "--set", "actor.n_threads=13", "--seed", "13", "--print-config"];
-    let output = lodestone(folder.path(), &args, &variables);
-    let printed = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let all = printed(lodestone(folder.path()).args(args).envs(variables));
     for line in ["seed = 13", "segment_len = 11", "n_worlds = 12", "n_threads = 13"] {
-        assert!(printed.lines().any(|printed| printed == line), "no {line:?} in {printed}");
+        assert!(all.lines().any(|printed| printed == line), "no {line:?} in {all}");
     }
 }
 
 /// The output of `train --print-config` with these arguments.
-fn printed(folder: &Path, args: &[&str]) -> toml::Table {
-    let output = lodestone(folder, &[&["train", "--print-config"], args].concat(), &[]);
-    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap().parse().unwrap()
+fn config(folder: &Path, args: &[&str]) -> toml::Table {
+    printed(lodestone(folder).args(["train", "--print-config"]).args(args)).parse().unwrap()
 }
 
 #[test]
@@ -193,13 +174,13 @@ fn a_file_is_put_over_quickstart_and_a_whole_one_over_nothing() {
     let file = folder.path().join("my.toml");
     let with_file = |text: &str, args: &[&str]| {
         std::fs::write(&file, text).unwrap();
-        printed(folder.path(), &[&["--config", "my.toml"], args].concat())
+        config(folder.path(), &[&["--config", "my.toml"], args].concat())
     };
-    let quickstart = printed(folder.path(), &[]);
+    let quickstart = config(folder.path(), &[]);
     let mine = with_file("seed = 7", &[]);
     assert_eq!((mine["seed"].as_integer(), &mine["learner"]), (Some(7), &quickstart["learner"]));
     let over_paper = with_file("seed = 7", &["--preset", "paper"]);
-    assert_eq!(over_paper["learner"], printed(folder.path(), &["--preset", "paper"])["learner"]);
+    assert_eq!(over_paper["learner"], config(folder.path(), &["--preset", "paper"])["learner"]);
     assert_ne!(with_file("base = \"none\"", &[])["learner"], quickstart["learner"]);
     // A complete configuration gives the same result whatever its base.
     let whole = with_file(&over_paper.to_string(), &[]);
@@ -210,22 +191,22 @@ fn a_file_is_put_over_quickstart_and_a_whole_one_over_nothing() {
 fn a_printed_configuration_can_be_short_or_explained() {
     let folder = tempfile::tempdir().unwrap();
     let print = |args: &[&str]| {
-        let all = [&["train", "--print-config", "--preset", "laptop", "--set", "learner.gamma=0.9"], args].concat();
-        String::from_utf8(lodestone(folder.path(), &all, &[]).stdout).unwrap()
+        let print = ["train", "--print-config", "--preset", "laptop", "--set", "learner.gamma=0.9"];
+        printed(lodestone(folder.path()).args(print).args(args))
     };
     let changed = print(&["--changed"]);
     assert_eq!(changed.trim(), "base = \"laptop\"\n[learner]\ngamma = 0.9");
     let explained = print(&["--changed", "--explain"]);
     assert!(explained.contains("\n# Discount γ per step (0 to 1; default 0.99).\ngamma = 0.9\n"), "{explained}");
     std::fs::write(folder.path().join("my.toml"), print(&["--explain"])).unwrap();
-    assert_eq!(printed(folder.path(), &["--config", "my.toml"]), print(&[]).parse().unwrap());
+    assert_eq!(config(folder.path(), &["--config", "my.toml"]), print(&[]).parse().unwrap());
 }
 
 #[test]
 fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let schema = lodestone(folder.path(), &["train", "--print-config", "--schema"], &[]).stdout;
+    let schema = printed(lodestone(folder.path()).args(["train", "--print-config", "--schema"]));
     std::fs::write(path("schema.json"), schema).unwrap();
     let wrong = [
         ("[learner]\ngama = 0.9", "'gama' was unexpected"),
@@ -241,7 +222,7 @@ fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
     for preset in deploy::config::PRESETS {
         files.extend([path(preset.name), path(&format!("{}-whole", preset.name))]);
         std::fs::write(path(preset.name), preset.text).unwrap();
-        let whole = printed(folder.path(), &["--preset", preset.name]).to_string();
+        let whole = config(folder.path(), &["--preset", preset.name]).to_string();
         std::fs::write(&files[files.len() - 1], whole).unwrap();
     }
     let Some(python) = python() else { return };
@@ -260,9 +241,9 @@ fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
 #[test]
 fn numbers_and_addresses_are_written_as_people_write_them() {
     let folder = tempfile::tempdir().unwrap();
-    let steps = |text: &str| printed(folder.path(), &["--steps", text])["n_env_steps"].as_integer();
+    let steps = |text: &str| config(folder.path(), &["--steps", text])["n_env_steps"].as_integer();
     assert_eq!((steps("1e6"), steps("1_000_000")), (Some(1_000_000), Some(1_000_000)));
-    let listening = printed(folder.path(), &["--web", "8080", "--listen", "localhost:7447"]);
+    let listening = config(folder.path(), &["--web", "8080", "--listen", "localhost:7447"]);
     assert_eq!(listening["dashboard"]["web"]["listen"].as_str(), Some("127.0.0.1:8080"));
     assert_eq!(listening["bus"]["listen"][0].as_str(), Some("tcp/localhost:7447"));
 }
@@ -271,8 +252,7 @@ fn numbers_and_addresses_are_written_as_people_write_them() {
 fn shells_know_the_commands() {
     let folder = tempfile::tempdir().unwrap();
     for shell in ["bash", "zsh", "fish"] {
-        let output = lodestone(folder.path(), &["completions", shell], &[]);
-        let text = String::from_utf8(output.stdout).unwrap();
+        let text = printed(lodestone(folder.path()).args(["completions", shell]));
         for words in ["evaluator", "learner.optimizer.learning_rate=", "16_002", "near-goal"] {
             assert!(text.contains(words), "{shell}: no {words} in {text}");
         }
@@ -305,7 +285,7 @@ fn shells_know_the_commands() {
 #[test]
 fn an_interrupted_evaluation_says_what_it_has_found() {
     let folder = tempfile::tempdir().unwrap();
-    let mut command = crate::support::program::lodestone(folder.path());
+    let mut command = lodestone(folder.path());
     command.args(["eval", "--expert", "--blueprint", "16_000", "--episodes", "10000", "--json"]);
     let mut evaluation = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = BufReader::new(evaluation.stderr.take().unwrap()).lines().map(Result::unwrap);
@@ -325,19 +305,18 @@ fn an_interrupted_evaluation_says_what_it_has_found() {
 #[test]
 fn the_catalog_is_listed_and_checked() {
     let folder = tempfile::tempdir().unwrap();
-    let listed = lodestone(folder.path(), &["blueprints", "list", "--json"], &[]);
-    let rows: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    let listed = printed(lodestone(folder.path()).args(["blueprints", "list", "--json"]));
+    let rows: serde_json::Value = serde_json::from_str(&listed).unwrap();
     let is_two_block = |row: &&serde_json::Value| row["n_blocks"] == 2 && row["split"] == "train";
     assert_eq!(rows.as_array().unwrap().iter().filter(is_two_block).count(), 14);
-    let checked = lodestone(folder.path(), &["blueprints", "check"], &[]);
-    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
+    finished(lodestone(folder.path()).args(["blueprints", "check"]));
 }
 
 #[test]
 fn a_bad_blueprint_is_told_apart_from_good_ones() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("2_099.toml"), "id = 3").unwrap();
-    let output = lodestone(folder.path(), &["blueprints", "check", "2_099.toml"], &[]);
+    let output = lodestone(folder.path()).args(["blueprints", "check", "2_099.toml"]).output().unwrap();
     assert_eq!(output.status.code(), Some(64));
     let stdout = String::from_utf8_lossy(&output.stdout);
     for words in ["2_099.toml  -   FAILED format; 0 passed; 12 not run", "2_099.toml, format: line 1"] {
@@ -351,9 +330,7 @@ fn a_drawing_of_types_and_places_is_completed() {
     let blocks = "blocks = [{ type = \"3x1x1\", at = [0, 0, 0] }, { type = \"1x1x1\", at = [2, 0, 1] }]";
     std::fs::write(folder.path().join("corner.toml"), blocks).unwrap();
     let check = ["blueprints", "check", "corner.toml", "--write", "whole.toml"];
-    let output = lodestone(folder.path(), &check, &[]);
-    let stdout = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{stdout}");
+    let stdout = printed(lodestone(folder.path()).args(check));
     for words in [
         "corner.toml: block \"block-1\" is turned \"+x +y\": it can fill [3, 1, 1] cells only",
         "corner.toml: blocks \"block-1\" and \"block-2\" are connected by 1 magnet pair",
@@ -363,10 +340,10 @@ fn a_drawing_of_types_and_places_is_completed() {
     }
     let whole = std::fs::read_to_string(folder.path().join("whole.toml")).unwrap();
     assert!(whole.starts_with("id = \"corner\"") && whole.contains("\"-z(0,0,0) +z(2,0,0)\""), "{whole}");
-    let again = lodestone(folder.path(), &check, &[]);
-    assert_eq!(again.status.code(), Some(64), "no file is replaced");
-    let listed = lodestone(folder.path(), &["blueprints", "list", "corner.toml", "--json"], &[]);
-    let rows: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    // No file is replaced.
+    refused(lodestone(folder.path()).args(check), 64, &[]);
+    let listed = printed(lodestone(folder.path()).args(["blueprints", "list", "corner.toml", "--json"]));
+    let rows: serde_json::Value = serde_json::from_str(&listed).unwrap();
     assert_eq!((&rows[0]["id"], &rows[0]["n_connections"]), (&"corner".into(), &1.into()));
 }
 
@@ -374,12 +351,8 @@ fn a_drawing_of_types_and_places_is_completed() {
 fn blueprints_are_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["blueprints", "show", "2_000", "6_005", "2_000", "--size", "320", "--out", "new/pictures"];
-    let output = lodestone(folder.path(), &args, &[]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let written = std::fs::read_dir(folder.path().join("new/pictures")).unwrap();
-    let mut names: Vec<String> = written.map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    assert_eq!(names, ["2_000.png", "6_005.png", "sheet.png"]);
+    finished(lodestone(folder.path()).args(args));
+    assert_eq!(names(&folder.path().join("new/pictures")), ["2_000.png", "6_005.png", "sheet.png"]);
     // A PNG begins with its signature, 8 bytes of chunk header, and the width.
     let card = std::fs::read(folder.path().join("new/pictures/6_005.png")).unwrap();
     assert_eq!((&card[..8], &card[16..20]), (&b"\x89PNG\r\n\x1a\n"[..], &320_u32.to_be_bytes()[..]));
@@ -394,12 +367,8 @@ fn what_cannot_be_drawn_is_named_before_anything_is_written() {
         (&["2_000", "--split", "train"], 2, &["--split", "cannot be used with"]),
         (&["--size", "319"], 2, &["--size", "319 is not in 320..=4000"]),
     ] {
-        let output = lodestone(folder.path(), &[&["blueprints", "show", "--out", "pictures"], args].concat(), &[]);
-        let stderr = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
-        for word in words {
-            assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
-        }
+        let show = ["blueprints", "show", "--out", "pictures"];
+        refused(lodestone(folder.path()).args(show).args(args), code, words);
         assert!(!folder.path().join("pictures").exists(), "{args:?} left files behind");
     }
 }
@@ -408,25 +377,19 @@ fn what_cannot_be_drawn_is_named_before_anything_is_written() {
 fn generated_blueprints_pass_the_checks_and_replace_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["blueprints", "generate", "--size", "4", "--count", "2", "--style", "arch", "--out", "made"];
-    let made = lodestone(folder.path(), &args, &[]);
-    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-    let lines = String::from_utf8(made.stdout).unwrap();
+    let lines = printed(lodestone(folder.path()).args(args));
     assert_eq!(lines.lines().filter(|line| line.starts_with("gen1-arch-0_4_")).count(), 2, "{lines}");
-    let checked = lodestone(folder.path(), &["blueprints", "check", "made"], &[]);
-    assert!(checked.status.success(), "{}", String::from_utf8_lossy(&checked.stdout));
-    let again = lodestone(folder.path(), &args, &[]);
-    assert_eq!(again.status.code(), Some(64));
-    assert!(String::from_utf8_lossy(&again.stderr).contains("exists already; nothing was written"));
+    finished(lodestone(folder.path()).args(["blueprints", "check", "made"]));
+    refused(lodestone(folder.path()).args(args), 64, &["exists already; nothing was written"]);
 }
 
 #[test]
 fn the_expert_is_evaluated_and_its_failures_are_explained() {
     let folder = tempfile::tempdir().unwrap();
     let judge = |args: &[&str]| {
-        let output =
-            lodestone(folder.path(), &[&["eval", "--expert", "--episodes", "2", "--json"], args].concat(), &[]);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+        let eval = ["eval", "--expert", "--episodes", "2", "--json"];
+        let report = printed(lodestone(folder.path()).args(eval).args(args));
+        serde_json::from_str::<serde_json::Value>(&report).unwrap()
     };
     // A generated blueprint works like one from the catalog.
     let good = judge(&["--blueprint", "2_000", "--blueprint", "gen1-any-0_6_000"]);
@@ -443,7 +406,6 @@ fn the_expert_is_evaluated_and_its_failures_are_explained() {
     let replay = proto::codec::decode_recording(&std::fs::read(replay).unwrap()).unwrap();
     assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
     // An existing folder is not written to.
-    let again = lodestone(folder.path(), &["eval", "--expert", "--blueprint", "2_000", "--explain", "why"], &[]);
-    assert_eq!(again.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&again.stderr).contains("cannot make the folder why"));
+    let again = ["eval", "--expert", "--blueprint", "2_000", "--explain", "why"];
+    refused(lodestone(folder.path()).args(again), 1, &["cannot make the folder why"]);
 }

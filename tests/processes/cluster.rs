@@ -3,10 +3,11 @@
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use crate::support::judges::{python, told_by, told_by_script};
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{lodestone, n_saved_steps, refused};
+use crate::support::served::Process;
 
 /// The task of CI's learning test, saved often enough that a process can be killed at any time, and evaluated from the
 /// first update on.
@@ -15,17 +16,6 @@ const TASK: [&str; 6] =
 
 /// Environment steps that are more than enough to learn the task.
 const ENOUGH_STEPS: u64 = 200_000;
-
-/// A process that is killed when dropped.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Both calls fail only if the process has already exited, which is fine.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 struct Cluster {
     folder: tempfile::TempDir,
@@ -139,11 +129,8 @@ fn an_actor_with_other_settings_than_the_learner_ends_and_names_the_first() {
     ] {
         let mut actor = command(cluster.folder.path());
         actor.args(["actor", "--connect", &cluster.endpoint, "--set", set]).args(TASK).stderr(Stdio::piped());
-        let output = actor.output().unwrap();
-        let stderr = String::from_utf8_lossy(&output.stderr);
         // Supervisors do not start a process again after 64.
-        assert_eq!(output.status.code(), Some(64), "{stderr}");
-        assert!(stderr.contains(&format!("are of a run with other settings: {difference}")), "{stderr}");
+        refused(&mut actor, 64, &[&format!("are of a run with other settings: {difference}")]);
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{finished, lodestone, n_saved_steps, refused};
 
 /// Copies the run that version 0.1.0 left behind into `folder`.
 pub(crate) fn old_run(folder: &Path) -> PathBuf {
@@ -25,30 +25,20 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Stdout of a command, which must succeed.
-fn output(folder: &Path, args: &[&str]) -> String {
-    let output = lodestone(folder).args(args).output().unwrap();
-    let (stdout, stderr) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.success(), "{args:?}: {stderr}");
-    stdout
-}
-
 #[test]
 fn the_policy_of_a_run_of_version_0_1_0_is_refused_and_everything_else_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let run = old_run(folder.path());
-    output(folder.path(), &["report", "run-0.1.0"]);
+    finished(lodestone(folder.path()).args(["report", "run-0.1.0"]));
     let groups = fs::read_to_string(run.join("report/groups.md")).unwrap();
     assert!(groups.contains("train 2-6"), "{groups}");
     let recording = "run-0.1.0/replays/2_000/00000000-failure.trajectory";
-    output(folder.path(), &["render", recording, "--format", "png-strip", "--out", "pictures"]);
-    for (command, reason) in [
-        (["eval", "--checkpoint", "run-0.1.0"], "has format version 1, and this program reads version 4"),
-        (["train", "--resume", "run-0.1.0"], "run-0.1.0/config.toml:11: unknown key `ack_timeout_ms`"),
+    finished(lodestone(folder.path()).args(["render", recording, "--format", "png-strip", "--out", "pictures"]));
+    for (command, code, reason) in [
+        (["eval", "--checkpoint", "run-0.1.0"], 66, "has format version 1, and this program reads version 4"),
+        (["train", "--resume", "run-0.1.0"], 64, "run-0.1.0/config.toml:11: unknown key `ack_timeout_ms`"),
     ] {
-        let output = lodestone(folder.path()).args(command).output().unwrap();
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success() && stderr.contains(reason), "{command:?}: {stderr}");
+        refused(lodestone(folder.path()).args(command), code, &[reason]);
     }
     assert_eq!(n_saved_steps(&run), 256);
 }

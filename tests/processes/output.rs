@@ -12,7 +12,7 @@ use deploy::cli::Cli;
 use serde_json::Value;
 
 use crate::compatibility::old_run;
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{check_refused, lodestone, n_saved_steps};
 use crate::support::served;
 
 /// Every command whose result is on stdout, with arguments that work beside a folder `run` of a run.
@@ -71,9 +71,8 @@ fn closed() -> Stdio {
 }
 
 fn check_full(args: &[&str], output: &Output) {
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{args:?}: {stderr}");
-    assert!(stderr.contains("error: cannot write to stdout: No space left on device"), "{args:?}: {stderr}");
+    let words = "error: cannot write to stdout: No space left on device";
+    check_refused(output, 1, &[words], &format!("{args:?}"));
 }
 
 fn check_closed(args: &[&str], output: &Output) {

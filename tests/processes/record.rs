@@ -1,43 +1,29 @@
 //! Recorded episodes: trajectories for `render`.
 
 use std::io::{BufRead, BufReader};
-use std::path::Path;
 use std::process::{Command, Stdio};
 
 use proto::codec::decode_recording;
 
-use crate::support::program::lodestone;
-
-/// Names of the files in a folder, sorted.
-fn names(folder: &Path) -> Vec<String> {
-    let files = std::fs::read_dir(folder).unwrap();
-    let mut names: Vec<String> = files.map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
-}
+use crate::support::program::{finished, lodestone, names, printed, refused};
 
 #[test]
 fn a_recording_has_the_episodes_that_were_asked_for_and_can_be_shown() {
     let folder = tempfile::tempdir().unwrap();
     let wanted = ["record", "--expert", "--blueprint", "2_000", "--blueprint", "3_000", "--episodes", "2"];
-    let record = || lodestone(folder.path()).args(wanted).args(["--out", "played", "--seed", "3"]).output().unwrap();
-    let output = record();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let said = String::from_utf8(output.stdout).unwrap();
+    let mut record = lodestone(folder.path());
+    record.args(wanted).args(["--out", "played", "--seed", "3"]);
+    let said = printed(&mut record);
     assert_eq!(said, "4 episodes\nlodestone render played/*.trajectory --out videos\n");
     let ids = ["00000-2_000", "00001-3_000", "00002-2_000", "00003-3_000"];
     assert_eq!(names(&folder.path().join("played")), ids.map(|id| format!("{id}.trajectory")));
 
     let files = ids.map(|id| format!("played/{id}.trajectory"));
     let shown = ["--format", "png-strip", "--out", "shown"];
-    let render = lodestone(folder.path()).arg("render").args(files).args(shown).output().unwrap();
-    assert!(render.status.success(), "{}", String::from_utf8_lossy(&render.stderr));
+    finished(lodestone(folder.path()).arg("render").args(files).args(shown));
     assert_eq!(names(&folder.path().join("shown")), ids.map(|id| format!("{id}.png")));
 
-    let again = record();
-    let stderr = String::from_utf8(again.stderr).unwrap();
-    assert_eq!(again.status.code(), Some(64), "{stderr}");
-    assert!(stderr.contains("played exists already; nothing was written"), "{stderr}");
+    refused(&mut record, 64, &["played exists already; nothing was written"]);
 }
 
 #[test]

@@ -3,35 +3,21 @@
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use crate::support::judges::{python, told_by};
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{finished, lodestone, n_saved_steps, refused};
+use crate::support::served::Process;
 
 /// The one command that a supervisor would run. Every update is saved, so the run can be killed at any time.
-const COMMAND: [&str; 10] = [
+const COMMAND: [&str; 6] = [
     "train",
-    "--preset",
-    "near-goal",
-    "--run-dir",
-    "run",
+    "--preset=near-goal",
+    "--run-dir=run",
     "--auto-resume",
-    "--set",
-    "learner.checkpoints.every_updates=1",
-    "--set",
-    "evaluator.evaluate_last=false",
+    "--set=learner.checkpoints.every_updates=1",
+    "--set=evaluator.evaluate_last=false",
 ];
-
-/// A process that is killed when dropped.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Both calls fail only if the process has already exited, which is fine.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 fn train(folder: &Path) -> Command {
     let mut command = lodestone(folder);
@@ -61,8 +47,7 @@ fn one_command_starts_a_run_and_continues_it_after_a_kill() {
     assert_eq!(meta["resumed_from"], "run");
 
     // A run that already has its steps ends at once, and successfully.
-    let ended = train(folder.path()).args(["--steps", "1"]).output().unwrap();
-    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    finished(train(folder.path()).args(["--steps", "1"]));
 }
 
 #[test]
@@ -108,10 +93,7 @@ fn a_second_process_is_refused_before_it_writes_anything() {
         || files.each_ref().map(|file| (fs::read(file).unwrap(), fs::metadata(file).unwrap().modified().unwrap()));
     let before = contents();
     for args in [&["train", "--resume", "run", "--seed", "7"][..], &COMMAND] {
-        let refused = lodestone(folder.path()).args(args).output().unwrap();
-        let message = String::from_utf8(refused.stderr).unwrap();
-        assert_eq!(refused.status.code(), Some(2), "{message}");
-        assert!(message.contains("another process learns in run"), "{message}");
+        refused(lodestone(folder.path()).args(args), 2, &["another process learns in run"]);
     }
     assert_eq!(contents(), before);
 }
@@ -122,10 +104,8 @@ fn a_start_that_cannot_be_made_changes_nothing() {
     drop(trained(folder.path(), 1));
     let config = || fs::read(folder.path().join("run/config.toml")).unwrap();
     let before = config();
-    let refused = |arguments: &[&str], code, words: &str| {
-        let ended = lodestone(folder.path()).arg("train").args(arguments).output().unwrap();
-        let said = String::from_utf8_lossy(&ended.stderr);
-        assert!(ended.status.code() == Some(code) && said.contains(words), "{:?}: {said}", ended.status);
+    let refused = |args: &[&str], code, words: &str| {
+        refused(lodestone(folder.path()).arg("train").args(args), code, &[words]);
     };
     // Other goals, another network, and a policy with other inputs than the run that would start from it.
     refused(&["--resume", "run", "--blueprint", "6_005"], 2, "goes on with the goals that it began with");

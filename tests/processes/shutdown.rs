@@ -12,7 +12,7 @@ use bus::Bus;
 use proto::Role;
 use serde_json::Value;
 
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{finished, lodestone, n_saved_steps, refused};
 use crate::support::served::{Process, train};
 
 /// A router that takes connections and never answers.
@@ -130,8 +130,7 @@ fn a_closed_terminal_ends_every_long_command() {
     let folder = tempfile::tempdir().unwrap();
     let silent = Silent::new();
     let connect = ["--connect", &silent.endpoint()];
-    let trained = train(&mut lodestone(folder.path())).args(["--steps", "256", "--no-web"]).output().unwrap();
-    assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
+    finished(train(&mut lodestone(folder.path())).args(["--steps", "256", "--no-web"]));
     let listen = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
     let long: [(&[&str], &str); 11] = [
         (&["watch", connect[0], connect[1]], "No router"),
@@ -203,10 +202,8 @@ fn a_limit_of_few_open_files_is_named() {
         let program = lodestone(folder.path());
         let mut limited = Command::new("sh");
         limited.args(["-c", "ulimit -n 16; exec \"$@\"", "sh"]).arg(program.get_program()).args(args);
-        let ended = limited.current_dir(folder.path()).output().unwrap();
-        let said = String::from_utf8_lossy(&ended.stderr);
-        assert_eq!(ended.status.code(), Some(71), "{args:?}: {said}");
-        assert!(said.contains("may have 16 files open at once") && said.contains("ulimit -n 1024"), "{said}");
+        limited.current_dir(folder.path());
+        refused(&mut limited, 71, &["may have 16 files open at once", "ulimit -n 1024"]);
     }
     assert!(!folder.path().join("run").exists());
 }

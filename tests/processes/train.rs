@@ -2,37 +2,22 @@
 //! signal.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
-use crate::support::program::{lodestone, n_saved_steps};
+use crate::support::program::{finished, lodestone, n_saved_steps, refused};
 
 /// Settings small enough to run in seconds: updates of 256 steps, each of which is saved.
-const SMALL: [&str; 18] = [
-    "--set",
-    "learner.batch_size=256",
-    "--set",
-    "learner.minibatch_size=256",
-    "--set",
-    "learner.n_epochs=1",
-    "--set",
-    "learner.checkpoints.every_updates=1",
-    "--set",
-    "actor.n_worlds=8",
-    "--set",
-    "evaluator.selection.blueprints=[\"2_000\"]",
-    "--set",
-    "evaluator.episodes.n_episodes=2",
-    "--set",
-    "policy.network.width=16",
-    "--set",
-    "policy.network.value_hidden=[16]",
+const SMALL: [&str; 9] = [
+    "--set=learner.batch_size=256",
+    "--set=learner.minibatch_size=256",
+    "--set=learner.n_epochs=1",
+    "--set=learner.checkpoints.every_updates=1",
+    "--set=actor.n_worlds=8",
+    "--set=evaluator.selection.blueprints=[\"2_000\"]",
+    "--set=evaluator.episodes.n_episodes=2",
+    "--set=policy.network.width=16",
+    "--set=policy.network.value_hidden=[16]",
 ];
-
-fn finished(command: &mut Command) -> Output {
-    let output = command.output().unwrap();
-    assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
-    output
-}
 
 #[test]
 fn a_run_is_saved_evaluated_and_continued() {
@@ -71,8 +56,8 @@ fn a_run_is_saved_evaluated_and_continued() {
     let seconds = |key: &str| last[key].as_f64().unwrap();
     assert!(seconds("run_elapsed_s") > seconds("elapsed_s"), "the time before the resume counts: {last}");
 
-    let again = lodestone(folder.path()).args(["train", "--run-dir", "run"]).output().unwrap();
-    assert_eq!(again.status.code(), Some(2), "a run must not be overwritten");
+    // A run is not overwritten.
+    refused(lodestone(folder.path()).args(["train", "--run-dir", "run"]), 2, &[]);
 }
 
 #[test]
@@ -161,10 +146,7 @@ fn a_start_that_fails_leaves_no_run_behind() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
     let args = ["train", "--run-dir", "run", "--listen", &endpoint];
-    let refused = lodestone(folder.path()).args(args).output().unwrap();
-    let stderr = String::from_utf8(refused.stderr).unwrap();
-    assert_eq!(refused.status.code(), Some(65), "{stderr}");
-    assert!(stderr.contains(&endpoint) && stderr.contains("Address already in use"), "{stderr}");
+    let stderr = refused(lodestone(folder.path()).args(args), 65, &[&endpoint, "Address already in use"]);
     assert!(!stderr.contains(".rs:"), "the error names places in code: {stderr}");
     assert!(!folder.path().join("run").exists());
 }
@@ -173,23 +155,16 @@ fn a_start_that_fails_leaves_no_run_behind() {
 fn training_that_diverges_stops_and_keeps_usable_weights() {
     let folder = tempfile::tempdir().unwrap();
     let diverge = [
-        "--set",
-        "learner.optimizer.lr_schedule.kind=fixed",
-        "--set",
-        "learner.optimizer.learning_rate=100000",
-        "--set",
-        "learner.batch_size=256",
-        "--set",
-        "evaluator.episodes.n_episodes=2",
+        "--set=learner.optimizer.lr_schedule.kind=fixed",
+        "--set=learner.optimizer.learning_rate=100000",
+        "--set=learner.batch_size=256",
+        "--set=evaluator.episodes.n_episodes=2",
     ];
     let mut train = lodestone(folder.path());
     train.args(["train", "--preset", "near-goal", "--run-dir", "run", "--steps", "9000"]).args(diverge);
-    let stopped = train.output().unwrap();
-    let said = String::from_utf8_lossy(&stopped.stderr);
-    assert_eq!(stopped.status.code(), Some(67), "{said}");
+    let said = refused(&mut train, 67, &["training has diverged: 3 updates in a row"]);
     let run = folder.path().join("run");
-    let kept = format!("step-{}", n_saved_steps(&run));
-    assert!(said.contains("training has diverged: 3 updates in a row") && said.contains(&kept), "{said}");
+    assert!(said.contains(&format!("step-{}", n_saved_steps(&run))), "{said}");
     finished(lodestone(folder.path()).args(["eval", "--checkpoint", "run", "--episodes", "1"]));
 
     // With another rate, the run goes on from there.
@@ -222,10 +197,7 @@ fn weights_with_which_no_policy_can_act_are_refused_wherever_they_are_read() {
         &["train", "--init-from", "run", "--run-dir", "out"],
         &["learner", "--resume", "run", "--connect", "tcp/127.0.0.1:1"],
     ] {
-        let refused = lodestone(folder.path()).args(args).output().unwrap();
-        let said = String::from_utf8_lossy(&refused.stderr);
-        assert_eq!(refused.status.code(), Some(66), "{args:?}: {said}");
-        assert!(said.contains("for a scene, must be a number in"), "{args:?}: {said}");
+        refused(lodestone(folder.path()).args(args), 66, &["for a scene, must be a number in"]);
         assert!(!folder.path().join("out").exists(), "{args:?}");
     }
 }

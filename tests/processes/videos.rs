@@ -3,43 +3,21 @@
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 
 use crate::support::judges::{python, told_by};
-use crate::support::program::lodestone;
+use crate::support::program::{finished, lodestone, refused};
+use crate::support::served::{Process, page};
 
 /// Settings small enough to run in seconds, with goals that lack only one block, so that some episodes succeed.
-const SMALL: [&str; 12] = [
-    "--preset",
-    "near-goal",
-    "--set",
-    "learner.batch_size=256",
-    "--set",
-    "learner.minibatch_size=256",
-    "--set",
-    "actor.n_worlds=8",
-    "--set",
-    "evaluator.selection.blueprints=[\"2_000\"]",
-    "--set",
-    "evaluator.episodes.n_episodes=4",
+const SMALL: [&str; 6] = [
+    "--preset=near-goal",
+    "--set=learner.batch_size=256",
+    "--set=learner.minibatch_size=256",
+    "--set=actor.n_worlds=8",
+    "--set=evaluator.selection.blueprints=[\"2_000\"]",
+    "--set=evaluator.episodes.n_episodes=4",
 ];
-
-/// A process that is killed when dropped.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        // Both calls fail only if the process has already exited, which is fine.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn finished(command: &mut Command) -> Output {
-    let output = command.output().unwrap();
-    assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
-    output
-}
 
 /// All files below a folder, sorted.
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -89,18 +67,13 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     assert!(fs::read(folder.path().join(format!("seen/{stem}-attention.png"))).unwrap().starts_with(b"\x89PNG"));
 
     // An exported policy works like its run, including in `play`.
-    finished(lodestone(folder.path()).args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]));
-    let mut again = lodestone(folder.path());
-    assert_eq!(
-        again.args(["export", "--checkpoint", "run", "--out", "policy.safetensors"]).status().unwrap().code(),
-        Some(2)
-    );
-    let mut playing = lodestone(folder.path());
-    playing.args(["play", "--checkpoint", "policy.safetensors", "2_001", "--episodes", "1", "--run-dir", "played"]);
-    let mut playing = Process(playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(playing.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert!(lines.by_ref().any(|line| line.starts_with("page at http://127.0.0.1:")));
-    assert!(lines.by_ref().any(|line| line.starts_with("train 2_001")), "it is evaluated once");
+    let export = ["export", "--checkpoint", "run", "--out", "policy.safetensors"];
+    finished(lodestone(folder.path()).args(export));
+    refused(lodestone(folder.path()).args(export), 2, &[]);
+    let play = ["play", "--checkpoint", "policy.safetensors", "2_001", "--episodes", "1", "--run-dir", "played"];
+    let (mut playing, printed, _) = page(lodestone(folder.path()).args(play));
+    let mut lines = printed.lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.starts_with("train 2_001")), "it is evaluated once");
     finished(Command::new("kill").args(["-TERM", &playing.0.id().to_string()]));
     assert!(playing.0.wait().unwrap().success());
     assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
@@ -135,9 +108,6 @@ fn what_cannot_be_shown_is_said() {
         (&["render", "empty", "--connect", "tcp/127.0.0.1:1", "--out", "videos"], 2, "--connect"),
         (&["render", "--connect", "unixsock-stream//gone/bus.sock", "--timeout", "1", "--out", "videos"], 65, "gone"),
     ] {
-        let output = lodestone(folder.path()).args(args).output().unwrap();
-        let told = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{told}");
-        assert!(told.contains(words), "no {words:?} in {told}");
+        refused(lodestone(folder.path()).args(args), code, &[words]);
     }
 }

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Lines};
 use std::path::Path;
 use std::process::{ChildStdout, Command, Output, Stdio};
 
-use crate::support::program::lodestone;
+use crate::support::program::{check_refused, lodestone, refused};
 use crate::support::served::{Process, interrupt, train};
 use bus::{Bus, MetricsPublisher};
 use proto::Role;
@@ -119,9 +119,8 @@ async fn a_run_that_says_nothing_is_named() {
     let bus = Bus::isolated(folder.path()).await.unwrap();
     let _token = bus.declare_alive(Role::Learner, "learner").await.unwrap();
     let output = watch(folder.path(), &["--run", "elsewhere", "--once", "--timeout", "3"]).await;
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(66), "{stderr}");
-    assert!(stderr.contains("run `elsewhere` said anything in 3 s; this router has default;"), "{stderr}");
+    let words = "run `elsewhere` said anything in 3 s; this router has default;";
+    check_refused(&output, 66, &[words], "watch");
     bus.close().await;
 }
 
@@ -135,16 +134,9 @@ async fn a_missing_router_and_wrong_use_are_named() {
         (&["--timeout", "3"], 2, &["--once"]),
         (&["--once", "--timeout", "0"], 2, &["--timeout", "1..=86400"]),
     ] {
-        let output = watch(folder.path(), args).await;
-        let stderr = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{args:?}: {stderr}");
-        for word in words {
-            assert!(stderr.contains(word), "{args:?} does not say {word:?}: {stderr}");
-        }
+        check_refused(&watch(folder.path(), args).await, code, words, &format!("{args:?}"));
     }
-    let output = lodestone(folder.path()).arg("watch").output().unwrap();
-    assert_eq!(output.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("--connect"));
+    refused(lodestone(folder.path()).arg("watch"), 2, &["--connect"]);
 }
 
 #[test]
@@ -166,7 +158,5 @@ fn a_training_is_found_by_its_folder_and_without_any_name() {
     interrupt(&training);
     training.0.wait().unwrap();
     let output = watch(&["runs/run"]);
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{stderr}");
-    assert!(stderr.contains("no training listens in runs/run") && stderr.contains("serve runs/run"), "{stderr}");
+    check_refused(&output, 2, &["no training listens in runs/run", "serve runs/run"], "watch");
 }

@@ -1,19 +1,14 @@
 //! The web page of a real run: its address is printed, it updates during training, and it is gone afterwards.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 use std::net::{TcpListener, TcpStream};
-use std::process::{Output, Stdio};
 
 use crate::support::judges::{python, told_by};
-use crate::support::program::{lodestone, n_saved_steps};
-use crate::support::served::{Process, client, endless, events, get, interrupt, train};
+use crate::support::program::{lodestone, n_saved_steps, printed, refused};
+use crate::support::served::{client, endless, events, get, interrupt, page, train};
 use runlog::{History, RunPaths};
 use serde_json::Value;
-
-fn error(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
 
 #[test]
 fn a_page_shows_a_run_while_it_lasts() {
@@ -100,33 +95,22 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
 #[test]
 fn a_page_that_cannot_be_served_is_refused_before_anything_is_written() {
     let folder = tempfile::tempdir().unwrap();
-    let train = |address: &str| train(&mut lodestone(folder.path())).args(["--web", address]).output().unwrap();
-    let open = train("0.0.0.0:0");
-    assert_eq!(open.status.code(), Some(64));
-    assert!(
-        error(&open).contains("dashboard.web.listen = 0.0.0.0:0, which others can reach: set dashboard.web.token"),
-        "{}",
-        error(&open)
-    );
+    let refused = |address: &str, words: &str| {
+        refused(train(&mut lodestone(folder.path())).args(["--web", address]), 64, &[words]);
+    };
+    refused("0.0.0.0:0", "dashboard.web.listen = 0.0.0.0:0, which others can reach: set dashboard.web.token");
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
-    let refused = train(&address);
-    assert_eq!(refused.status.code(), Some(64));
-    assert!(error(&refused).contains(&format!("the page cannot be served at {address}")), "{}", error(&refused));
+    refused(&address, &format!("the page cannot be served at {address}"));
     assert!(!folder.path().join("run").exists());
 }
 
 #[test]
 fn runs_that_have_ended_are_shown_from_their_files() {
     let folder = tempfile::tempdir().unwrap();
-    let trained = train(&mut lodestone(folder.path())).args(["--steps", "512", "--no-web"]).output().unwrap();
-    assert!(trained.status.success(), "{}", error(&trained));
-    assert!(!String::from_utf8_lossy(&trained.stdout).contains("page at"));
-    let mut serving = lodestone(folder.path());
-    let serving = serving.args(["serve", "run", "run"]);
-    let mut serving = Process(serving.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(serving.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    let address = lines.find_map(|line| Some(line.strip_prefix("page at http://")?.to_owned())).unwrap();
+    let said = printed(train(&mut lodestone(folder.path())).args(["--steps", "512", "--no-web"]));
+    assert!(!said.contains("page at"), "{said}");
+    let (mut serving, _printed, address) = page(lodestone(folder.path()).args(["serve", "run", "run"]));
     let json = |path: &str| -> Value { serde_json::from_str(&get(&address, path).1).unwrap() };
     let about = json("/runs/1/api/about");
     assert_eq!((&about["kind"], &about["run"]), (&"finished".into(), &"run".into()));
@@ -143,10 +127,8 @@ fn runs_that_have_ended_are_shown_from_their_files() {
     assert!(serving.0.wait().unwrap().success());
 
     // A static copy of the page holds everything that a browser would request.
-    let export =
-        || lodestone(folder.path()).args(["serve", "run", "--export", "copy", "--blueprint", "2_000"]).output();
-    let written = export().unwrap();
-    assert!(written.status.success(), "{}", error(&written));
+    let export = ["serve", "run", "--export", "copy", "--blueprint", "2_000"];
+    printed(lodestone(folder.path()).args(export));
     let copied = |path: &str| std::fs::read_to_string(folder.path().join("copy").join(path)).unwrap();
     let json = |path: &str| -> Value { serde_json::from_str(&copied(path)).unwrap() };
     assert!(copied("index.html").contains("<html data-copy "));
@@ -155,9 +137,6 @@ fn runs_that_have_ended_are_shown_from_their_files() {
     for agent in ["policy", "expert"] {
         assert_eq!(json(&format!("api/play/2_000-{agent}.json"))["actor"], agent);
     }
-    assert!(error(&export().unwrap()).contains("cannot make the folder copy"));
-
-    let gone = lodestone(folder.path()).args(["serve", "gone"]).output().unwrap();
-    assert_eq!(gone.status.code(), Some(66));
-    assert!(error(&gone).contains("gone does not exist"), "{}", error(&gone));
+    refused(lodestone(folder.path()).args(export), 1, &["cannot make the folder copy"]);
+    refused(lodestone(folder.path()).args(["serve", "gone"]), 66, &["gone does not exist"]);
 }

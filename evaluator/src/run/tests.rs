@@ -5,6 +5,7 @@ use std::time::Duration;
 use blueprints::{Catalog, Split};
 use proto::metrics::EvalSummary;
 use proto::{RewardTerms, Start, Valid};
+use tokio::task::JoinHandle;
 
 use super::*;
 use crate::config::{EvaluatorConfig, Every, ResetFreeConfig, Selection};
@@ -22,26 +23,16 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let episodes = EpisodeConfig { n_episodes: 1, ..Default::default() };
-    let small = small_setup(episodes.clone());
     let selection = Selection { sizes: [2, 2], ..Default::default() };
     let n_selected = selection.select(Catalog::builtin()).unwrap().len();
     let records = RunPaths::new(dir.path());
-    let setup = EvaluatorSetup {
-        config: Valid::new(EvaluatorConfig { every: Every::Versions(2), selection, episodes, ..Default::default() })
-            .unwrap(),
-        policy: small_policy(),
-        environment: small.environment.clone(),
-        id: "judge".to_owned(),
-        seed: 3,
-        records: Some(records.clone()),
-        catalog: Catalog::builtin().clone(),
-    };
+    let config = EvaluatorConfig { every: Every::Versions(2), selection, episodes, ..Default::default() };
+    let setup = setup(config, Some(records.clone()));
     let (reports, mut seen) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
-    let (its_bus, its_stop) = (bus.clone(), stop.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
+    let service = start(setup, &bus, listeners, &stop);
 
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights();
@@ -101,26 +92,16 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let episodes = EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() };
-    let small = small_setup(episodes.clone());
     // 45 blueprints: parts of 32 and 45 episodes.
     let selection = Selection { sizes: [2, 3], splits: vec![Split::Train], ..Default::default() };
-    let setup = EvaluatorSetup {
-        config: Valid::new(EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() })
-            .unwrap(),
-        policy: small_policy(),
-        environment: small.environment.clone(),
-        id: "judge".to_owned(),
-        seed: 3,
-        records: None,
-        catalog: Catalog::builtin().clone(),
-    };
+    let config = EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() };
+    let setup = setup(config, None);
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
     let (so_far, counted) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), progress: Some(so_far), ..Default::default() };
     let stop = Stop::default();
-    let (its_bus, its_stop) = (bus.clone(), stop.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
+    let service = start(setup, &bus, listeners, &stop);
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights())).await.unwrap();
 
@@ -145,28 +126,17 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let episodes = EpisodeConfig { n_episodes: 1, acting: vec![ActionMode::Greedy], ..Default::default() };
-    let small = small_setup(episodes.clone());
     let blueprints = ["2_000", "validation_7_000"].map(|id| id.parse().unwrap()).to_vec();
     let selection = Selection { splits: vec![Split::Train], blueprints, ..Default::default() };
     let last_splits = vec![Split::Validation];
     let config = EvaluatorConfig { every: Every::Versions(1), selection, last_splits, episodes, ..Default::default() };
-    let config = Valid::new(config).unwrap();
-    let setup = EvaluatorSetup {
-        config,
-        policy: small_policy(),
-        environment: small.environment.clone(),
-        id: "judge".to_owned(),
-        seed: 3,
-        records: None,
-        catalog: Catalog::builtin().clone(),
-    };
+    let setup = setup(config, None);
     let (reports, mut seen) = watch::channel(None);
     let (evaluated, mut verdicts) = mpsc::unbounded_channel();
     let listeners = Listeners { reports: Some(reports), evaluated: Some(evaluated), ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
-    let (its_bus, its_stop) = (bus.clone(), stop.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
+    let service = start(setup, &bus, listeners, &stop);
     let publisher = bus.weights_publisher().await.unwrap();
     let untrained = weights();
     publisher.publish(Arc::new(untrained.clone())).await.unwrap();
@@ -199,8 +169,7 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let (progress, mut counted) = watch::channel(None);
     let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Default::default() };
     let stop = Stop::default();
-    let (its_bus, its_stop) = (bus.clone(), stop.clone());
-    let service = tokio::spawn(async move { run(setup, &its_bus, listeners, its_stop).await });
+    let service = start(setup, &bus, listeners, &stop);
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights())).await.unwrap();
     // Long before the evaluation is complete.
@@ -291,17 +260,25 @@ async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluate
 /// A setup with `n_episodes` greedy episodes of one goal.
 fn one_goal(n_episodes: u32, records: Option<RunPaths>) -> EvaluatorSetup {
     let episodes = EpisodeConfig { n_episodes, acting: vec![ActionMode::Greedy], ..Default::default() };
-    let environment = small_setup(episodes.clone()).environment.clone();
     let selection =
         Selection { splits: vec![Split::Train], blueprints: vec!["2_000".parse().unwrap()], ..Default::default() };
+    setup(EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() }, records)
+}
+
+fn setup(config: EvaluatorConfig, records: Option<RunPaths>) -> EvaluatorSetup {
     EvaluatorSetup {
-        config: Valid::new(EvaluatorConfig { every: Every::Versions(1), selection, episodes, ..Default::default() })
-            .unwrap(),
         policy: small_policy(),
-        environment,
+        environment: small_setup(config.episodes.clone()).environment.clone(),
+        config: Valid::new(config).unwrap(),
         id: "judge".to_owned(),
         seed: 3,
         records,
         catalog: Catalog::builtin().clone(),
     }
+}
+
+/// Starts an evaluator on the bus.
+fn start(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: &Stop) -> JoinHandle<anyhow::Result<Summary>> {
+    let (bus, stop) = (bus.clone(), stop.clone());
+    tokio::spawn(async move { run(setup, &bus, listeners, stop).await })
 }

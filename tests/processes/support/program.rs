@@ -1,7 +1,7 @@
 //! Runs the program for the tests.
 
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Output};
 
 /// The program, in `folder` and without the caller's `LODESTONE_*` variables and `RUST_LOG`.
 pub(crate) fn lodestone(folder: &Path) -> Command {
@@ -11,6 +11,43 @@ pub(crate) fn lodestone(folder: &Path) -> Command {
     }
     command.current_dir(folder);
     command
+}
+
+/// Runs a command that must succeed.
+pub(crate) fn finished(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}: {}: {said}", output.status);
+    output
+}
+
+/// Runs a command that must succeed; returns its stdout.
+pub(crate) fn printed(command: &mut Command) -> String {
+    String::from_utf8(finished(command).stdout).unwrap()
+}
+
+/// Runs a command that must end with this code and all of these words on stderr; returns its stderr.
+pub(crate) fn refused(command: &mut Command, code: i32, words: &[&str]) -> String {
+    let output = command.output().unwrap();
+    check_refused(&output, code, words, &format!("{command:?}"))
+}
+
+/// Checks how a command ended, as [`refused`] does.
+pub(crate) fn check_refused(output: &Output, code: i32, words: &[&str], what: &str) -> String {
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{what}: {said}");
+    for word in words {
+        assert!(said.contains(word), "{what} does not say {word:?}: {said}");
+    }
+    said
+}
+
+/// Names of the files in a folder, sorted.
+pub(crate) fn names(folder: &Path) -> Vec<String> {
+    let files = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = files.map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
 }
 
 /// Environment steps of a run's newest checkpoint.

@@ -39,15 +39,18 @@ pub(crate) fn train(command: &mut Command) -> &mut Command {
     command
 }
 
-/// Starts a run without a step limit in `folder`; returns it, the rest of its stdout, and the address of its page.
-pub(crate) fn endless(folder: &Path) -> (Process, BufReader<ChildStdout>, String) {
-    let mut command = lodestone(folder);
-    let run = train(&mut command).args(["--steps", "1000000000", "--web", "127.0.0.1:0"]);
-    let mut run = Process(run.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut printed = BufReader::new(run.0.stdout.take().unwrap());
+/// Starts the program and reads what it prints up to the address of its page; returns both with the rest.
+pub(crate) fn page(command: &mut Command) -> (Process, BufReader<ChildStdout>, String) {
+    let mut process = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut printed = BufReader::new(process.0.stdout.take().unwrap());
     let mut lines = printed.by_ref().lines().map(Result::unwrap);
     let address = lines.find_map(|line| Some(line.strip_prefix("page at http://")?.to_owned())).unwrap();
-    (run, printed, address)
+    (process, printed, address)
+}
+
+/// Starts a run without a step limit in `folder`, as [`page`] does.
+pub(crate) fn endless(folder: &Path) -> (Process, BufReader<ChildStdout>, String) {
+    page(train(&mut lodestone(folder)).args(["--steps", "1000000000", "--web", "127.0.0.1:0"]))
 }
 
 /// A client that uses no proxy and returns responses of any status as `Ok`.
