@@ -15,6 +15,7 @@ use blueprints::outside::printable;
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use serde::Serialize;
 
+use super::common;
 use crate::cli::{BlueprintsArgs, BlueprintsCommand, CheckArgs};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -58,8 +59,7 @@ fn list(args: &BlueprintsArgs, terminal: &Terminal) -> Result<(), Failure> {
     let catalogs = if loaded.is_empty() { std::slice::from_ref(Catalog::builtin().as_ref()) } else { &loaded };
     let rows: Vec<Row<'_>> = catalogs.iter().flat_map(Catalog::iter).map(row).collect();
     if args.json {
-        terminal.print(&json(&rows));
-        return Ok(());
+        return common::json(&rows, terminal);
     }
     let line = |row: &Row<'_>| {
         let Row { id, split, n_blocks, n_connections, title } = row;
@@ -81,9 +81,9 @@ fn row(blueprint: &Blueprint) -> Row<'_> {
 }
 
 fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let (write, args) = (&args.write, &args.files);
+    let (whole, args) = (&args.write, &args.files);
     let files = files(&args.paths)?;
-    let written = match (write, &files[..]) {
+    let written = match (whole, &files[..]) {
         (Some(path), [(_, text)]) => Some((path, text)),
         (Some(_), _) => {
             return Err(Failure::Usage(format!("--write completes one file, and {} are named", files.len())));
@@ -96,14 +96,14 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
     if args.json {
         let verdicts: Vec<Verdict<'_>> = reports.iter().map(verdict).collect();
-        terminal.print(&json(&verdicts));
+        common::json(&verdicts, terminal)?;
     } else {
         terminal.print(&table::render(&reports));
     }
     if let (Some((path, text)), Some(report)) = (written, reports.first())
         && report.blueprint.is_ok()
     {
-        complete(path, report.completed.as_ref().unwrap_or(text))?;
+        write(path, report.completed.as_ref().unwrap_or(text))?;
         terminal.on_stderr().print(&format!("the whole of it is in {}", path.display()));
     }
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
@@ -113,8 +113,8 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     }
 }
 
-/// Writes a completed file; never replaces an existing one.
-fn complete(path: &Path, text: &str) -> Result<(), Failure> {
+/// Writes a blueprint file; never replaces an existing one.
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
     let failed = |error| Failure::BlueprintFile { path: path.to_owned(), error };
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(failed)
@@ -131,8 +131,4 @@ fn files(paths: &[PathBuf]) -> Result<Vec<(String, String)>, Failure> {
 fn verdict(report: &Report) -> Verdict<'_> {
     let inferred = report.inferred.iter().map(ToString::to_string).collect();
     Verdict { file: &report.file, id: report.id.as_ref(), passed: report.passed(), checks: &report.results, inferred }
-}
-
-fn json(value: &impl Serialize) -> String {
-    serde_json::to_string_pretty(value).expect("plain structs are JSON")
 }

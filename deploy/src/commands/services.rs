@@ -41,7 +41,8 @@ pub(super) async fn run_actor(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let config = &settings.config;
-    let id = actor_id(args.id.clone())?;
+    let id = name(args.id.clone(), Role::Actor)?;
+    let id = ActorId::try_from(id).map_err(|error| Failure::Usage(format!("--id: {error}")))?;
     let health = Reporter::start(Role::Actor.as_str(), args.health.health_file.as_deref())?;
     let (n_threads, n_worlds) = (config.actor.n_threads, config.actor.n_worlds);
     terminal.print(&begins(&format!("actor `{id}` steps {n_threads} × {n_worlds} worlds"), settings));
@@ -98,7 +99,7 @@ pub(super) async fn run_learner(
         let reports = watch::channel(None).1;
         shown =
             Some(tokio::spawn(async move { live::show_learning(metrics, actors, reports, terminal, &whole).await }));
-        let summary = learner(options, bus, shutdown.clone()).await?;
+        let summary = learner::run(options, &bus, shutdown.clone()).await?;
         is_complete = summary.is_some_and(|summary| summary.n_env_steps >= config.n_env_steps);
         Ok(())
     })
@@ -119,10 +120,7 @@ pub(super) async fn run_evaluator(
 ) -> Result<(), Failure> {
     let config = &settings.config;
     check_evaluator(config, Catalog::builtin())?;
-    let id = match &args.member.id {
-        Some(id) => id.clone(),
-        None => random_name(Role::Evaluator.as_str()).map_err(anyhow::Error::from)?,
-    };
+    let id = name(args.member.id.clone(), Role::Evaluator)?;
     terminal.print(&begins(&format!("evaluator `{id}` evaluates weights"), settings));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
@@ -195,15 +193,6 @@ pub(super) async fn actor(
 ) -> Result<(), Failure> {
     actor::run(setup, &bus, told, shutdown).await?;
     Ok(())
-}
-
-/// Runs a learner; returns `None` if `shutdown` came before it had begun.
-pub(super) async fn learner(
-    options: RunOptions,
-    bus: Bus,
-    shutdown: CancellationToken,
-) -> Result<Option<learner::Summary>, Failure> {
-    Ok(learner::run(options, &bus, shutdown).await?)
 }
 
 /// A page whose address is bound, and what it shows first.
@@ -417,12 +406,9 @@ pub(super) fn run_options(
     RunOptions { setup, run_dir, resume, max_env_steps, source, told, save_retry: SAVE_RETRY }
 }
 
-fn actor_id(id: Option<String>) -> Result<ActorId, Failure> {
-    let id = match id {
-        Some(id) => id,
-        None => random_name(Role::Actor.as_str()).map_err(anyhow::Error::from)?,
-    };
-    ActorId::try_from(id).map_err(|error| Failure::Usage(format!("--id: {error}")))
+/// The given name, or a new one.
+fn name(given: Option<String>, role: Role) -> anyhow::Result<String> {
+    Ok(given.map_or_else(|| random_name(role.as_str()), Ok)?)
 }
 
 fn invalid(origin: &str, message: impl std::fmt::Display) -> Failure {

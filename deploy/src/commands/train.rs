@@ -278,12 +278,12 @@ impl Services<'_> {
         summary: oneshot::Sender<learner::Summary>,
         training: CancellationToken,
     ) -> impl Future<Output = Result<(), Failure>> + use<> {
-        let learner = services::learner(options, self.bus.clone(), training);
+        let bus = self.bus.clone();
         let folder = self.folder.to_owned();
         let interrupted = self.shutdown.clone();
         let terminal = self.config.evaluator.evaluate_last.then(|| self.terminal.clone());
         async move {
-            let Some(report) = learner.await? else {
+            let Some(report) = learner::run(options, &bus, training).await? else {
                 return Err(Failure::NothingWritten(folder));
             };
             if let Some(terminal) = terminal.filter(|_| !interrupted.is_cancelled()) {

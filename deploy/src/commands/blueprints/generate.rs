@@ -1,13 +1,13 @@
 //! `blueprints generate`.
 
 use std::collections::BTreeSet;
-use std::fs::{self, OpenOptions};
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::PathBuf;
 
 use blueprints::generator::{Request, generate_many};
 use blueprints::{Blueprint, Catalog};
 
+use super::write;
 use crate::cli::GenerateArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -25,24 +25,14 @@ pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failur
     if let Some(taken) = paths.iter().find(|path| path.exists()) {
         return Err(Failure::Exists(taken.clone()));
     }
-    fs::create_dir_all(&args.out).map_err(failed(&args.out))?;
+    let failed = |error| Failure::BlueprintFile { path: args.out.clone(), error };
+    fs::create_dir_all(&args.out).map_err(failed)?;
     for (blueprint, path) in made.iter().zip(&paths) {
-        write(blueprint, path)?;
+        let request = Request::from_id(blueprint.id()).expect("the id of a generated blueprint names its request");
+        write(path, &blueprint.to_toml(&request.provenance()))?;
         terminal.print_rows(&[line(blueprint)]);
     }
     Ok(())
-}
-
-fn write(blueprint: &Blueprint, path: &Path) -> Result<(), Failure> {
-    let request = Request::from_id(blueprint.id()).expect("the id of a generated blueprint names its request");
-    // `create_new`, because another process may have written the file in the meantime.
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed(path))?;
-    file.write_all(blueprint.to_toml(&request.provenance()).as_bytes()).map_err(failed(path))
-}
-
-fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> Failure {
-    let path = path.to_owned();
-    |error| Failure::BlueprintFile { path, error }
 }
 
 /// Id, height × length × width in units, and title; the id and the title contain the number of blocks.

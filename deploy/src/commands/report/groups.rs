@@ -1,7 +1,5 @@
 //! The table of groups in one evaluation, as Markdown and as comma-separated values.
 
-use std::fmt::Write;
-
 use blueprints::Group;
 use proto::ActionMode;
 use proto::metrics::EvalOutcome;
@@ -81,12 +79,10 @@ pub(super) fn markdown(rows: &[GroupRow]) -> String {
         let [success, low, high, stable] =
             [row.success.rate, row.success.wilson_low, row.success.wilson_high, row.stable.rate].map(|x| 100.0 * x);
         let steps = row.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
-        writeln!(
-            text,
-            "| {} | {} | {} | {} | {success:.1} % | {low:.1} to {high:.1} | {stable:.1} % | {steps} | {:.2} | {} |",
+        text += &format!(
+            "| {} | {} | {} | {} | {success:.1} % | {low:.1} to {high:.1} | {stable:.1} % | {steps} | {:.2} | {} |\n",
             row.name, row.n_blueprints, row.acting, row.success.n_episodes, row.mean_return, row.n_diverged
-        )
-        .expect("writing to a string does not fail");
+        );
     }
     text
 }
@@ -100,17 +96,10 @@ pub(super) fn csv(rows: &[GroupRow]) -> String {
     for row in rows {
         let steps = row.mean_steps_to_success.map(|steps| steps.to_string()).unwrap_or_default();
         let SuccessRate { n_successes, n_episodes, rate, wilson_low, wilson_high } = row.success;
-        writeln!(
-            text,
-            "{},{},{},{n_episodes},{n_successes},{rate},{wilson_low},{wilson_high},{},{steps},{},{}",
-            row.name,
-            row.n_blueprints,
-            row.acting.name(),
-            row.stable.n_successes,
-            row.mean_return,
-            row.n_diverged
-        )
-        .expect("writing to a string does not fail");
+        text += &format!(
+            "{},{},{},{n_episodes},{n_successes},{rate},{wilson_low},{wilson_high},{},{steps},{},{}\n",
+            row.name, row.n_blueprints, row.acting, row.stable.n_successes, row.mean_return, row.n_diverged
+        );
     }
     text
 }
