@@ -2,9 +2,10 @@
 
     pip install matplotlib
     python lab/plots.py runs/<run>/report
+    python lab/plots.py sweeps/<sweep>/report
 
 Every picture is beside its table: success.png, curves.png, and, if they were asked for, difference.png and
-comparison.png.
+comparison.png. That of a sweep, curves.png, has a part for each group.
 """
 
 from __future__ import annotations
@@ -57,6 +58,30 @@ def lines(path: Path, title: str) -> None:
     save(figure, path)
 
 
+def points(path: Path) -> None:
+    """Draws the points of a sweep, a part for each group that was evaluated more than once."""
+    header, *rows = read(path)
+    table = [dict(zip(header, row)) for row in rows]
+    by_group = {group: [row for row in table if row["group"] == group] for group in {row["group"]: None for row in table}}
+    by_group = {group: of for group, of in by_group.items() if len({row["n_env_steps"] for row in of}) > 1}
+    if not by_group:
+        sys.exit(f"{path} has no group that was evaluated more than once")
+    figure, all_axes = pyplot.subplots(1, len(by_group), figsize=(5.5 * len(by_group), 4), sharey=True, squeeze=False)
+    for axes, (group, of_group) in zip(all_axes[0], by_group.items()):
+        for i, name in enumerate({row["point"]: None for row in table}):
+            of_point = [row for row in of_group if row["point"] == name]
+            x = [int(row["n_env_steps"]) for row in of_point]
+            axes.plot(x, [float(row["mean"]) for row in of_point], f"C{i}o-", markersize=3, label=name)
+            ends = [[float(row[end] or row["mean"]) for row in of_point] for end in ("mean_low", "mean_high")]
+            axes.fill_between(x, *ends, color=f"C{i}", alpha=0.15)
+        axes.set_ylim(0.0, 1.02)
+        axes.set_xlabel("environment steps")
+        axes.set_title(group)
+    all_axes[0][0].set_ylabel("mean success over seeds, 95 % intervals")
+    all_axes[0][-1].legend()
+    save(figure, path)
+
+
 def save(figure: pyplot.Figure, path: Path) -> None:
     picture = path.with_suffix(".png")
     figure.savefig(picture, dpi=150, bbox_inches="tight")
@@ -67,6 +92,9 @@ def main() -> None:
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     report = Path(sys.argv[1])
+    if not (report / "success.csv").is_file():
+        points(report / "curves.csv")
+        return
     heat_map(report / "success.csv", "Success by blueprint", 0.0, "viridis")
     lines(report / "curves.csv", "Success by group")
     if (report / "difference.csv").is_file():

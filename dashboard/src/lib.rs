@@ -14,7 +14,9 @@ pub mod web;
 
 pub use config::DashboardConfig;
 pub use run_view::{Sizes, waits};
-pub use web::{About, Builder, Farewell, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export};
+pub use web::{
+    About, Builder, Farewell, Finished, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export,
+};
 
 #[cfg(test)]
 mod samples;

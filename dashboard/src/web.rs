@@ -34,6 +34,7 @@ use bus::Bus;
 use policy::PolicyConfig;
 use proto::metrics::LearnerMetrics;
 use proto::{Valid, Weights};
+use serde_json::Value;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
@@ -92,6 +93,17 @@ pub struct Source {
     pub about: About,
     /// Plays episodes on demand; `None` if the page offers none.
     pub stage: Option<Stage>,
+}
+
+/// What a page of finished runs shows.
+#[derive(Debug)]
+pub struct Finished {
+    /// The run that is shown first.
+    pub first: FinishedRun,
+    /// The runs that can be chosen.
+    pub others: Vec<FinishedRun>,
+    /// The table and curves of the sweep that the runs belong to, as JSON.
+    pub sweep: Option<Value>,
 }
 
 /// A finished run, read from its files.
@@ -155,7 +167,7 @@ impl Page {
             });
         }
         let (farewell, places) = (shown.about.farewell.clone(), Places::default());
-        let routes = routes::routes(shown, Vec::new(), places.clone(), self.config);
+        let routes = routes::routes(shown, Vec::new(), None, places.clone(), self.config);
         tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
         let (its_board, its_bus, its_shutdown) = (board.clone(), bus.clone(), shutdown.clone());
@@ -186,17 +198,11 @@ impl Page {
     ///
     /// # Errors
     /// Returns an error if a task of the page panics.
-    pub async fn show(
-        self,
-        first: FinishedRun,
-        others: Vec<FinishedRun>,
-        shutdown: CancellationToken,
-    ) -> anyhow::Result<()> {
-        let first = first.into_shown();
-        let others: Vec<Shown> = others.into_iter().map(FinishedRun::into_shown).collect();
+    pub async fn show(self, finished: Finished, shutdown: CancellationToken) -> anyhow::Result<()> {
+        let (first, others, sweep) = finished.into_shown();
         let boards: Vec<_> = std::iter::once(&first).chain(&others).map(|run| run.board.clone()).collect();
         let (counting, farewell, places) = (first.board.clone(), first.about.farewell.clone(), Places::default());
-        let routes = routes::routes(first, others, places.clone(), self.config);
+        let routes = routes::routes(first, others, sweep, places.clone(), self.config);
         let closing = CancellationToken::new();
         let _closed_with_this = closing.clone().drop_guard();
         let server = tokio::spawn(server::serve(self.listener, routes, counting, closing.clone()));
@@ -220,13 +226,15 @@ impl Page {
 ///
 /// # Errors
 /// Returns an error if the folder cannot be created or written.
-pub async fn export(
-    first: FinishedRun,
-    others: Vec<FinishedRun>,
-    goals: &[BlueprintId],
-    folder: &Path,
-) -> anyhow::Result<usize> {
-    export::export(first.into_shown(), others.into_iter().map(FinishedRun::into_shown).collect(), goals, folder).await
+pub async fn export(finished: Finished, goals: &[BlueprintId], folder: &Path) -> anyhow::Result<usize> {
+    export::export(finished.into_shown(), goals, folder).await
+}
+
+impl Finished {
+    fn into_shown(self) -> (Shown, Vec<Shown>, Option<Value>) {
+        let others = self.others.into_iter().map(FinishedRun::into_shown).collect();
+        (self.first.into_shown(), others, self.sweep)
+    }
 }
 
 impl FinishedRun {

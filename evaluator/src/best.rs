@@ -50,12 +50,8 @@ impl Verdict {
             let counts = goals.iter().filter_map(|score| outcome_of(score, acting)).map(|outcome| outcome.success);
             counts.fold((0, 0), |(n, of), one| (n + one.n_successes, of + one.n_episodes))
         };
-        let other = match config.acting {
-            ActionMode::Greedy => ActionMode::Sampled,
-            ActionMode::Sampled => ActionMode::Greedy,
-        };
         let was_run = |acting: &ActionMode| success(*acting).1 > 0;
-        let acting = [config.acting, other].into_iter().find(was_run).unwrap_or(config.acting);
+        let acting = [config.acting, config.acting.other()].into_iter().find(was_run).unwrap_or(config.acting);
         let (n_successes, n_episodes) = success(acting);
         let success = SuccessRate::new(n_successes, n_episodes);
         Self { goals: name, n_goals: goals.len() as u64, acting, success }

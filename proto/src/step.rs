@@ -69,6 +69,11 @@ impl ActionMode {
             Self::Sampled => "sampled",
         }
     }
+
+    /// Returns the other one.
+    pub fn other(self) -> Self {
+        if self == Self::Greedy { Self::Sampled } else { Self::Greedy }
+    }
 }
 
 impl std::str::FromStr for ActionMode {

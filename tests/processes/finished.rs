@@ -7,9 +7,11 @@ use std::process::{Command, Stdio};
 use runlog::RunPaths;
 use serde_json::Value;
 
-use crate::support::program::lodestone;
-use crate::support::served::{Process, get, train};
+use crate::support::played::errors;
+use crate::support::program::{finished, lodestone};
+use crate::support::served::{Process, get, page, train};
 use crate::support::webdriver::Browser;
+use crate::support::written::write_sweep;
 
 /// The Home key, as a private-use code point of the WebDriver protocol.
 const HOME: &str = "\u{e011}";
@@ -20,9 +22,7 @@ fn train_two(folder: &Path) {
     for (name, seed) in [("first", "1"), ("second", "2")] {
         let mut command = lodestone(folder);
         let run = train(&mut command).args(["--set", "evaluator.evaluate_last=true"]);
-        let run = run.args(["--steps", "512", "--seed", seed, "--no-web"]);
-        let trained = run.output().unwrap();
-        assert!(trained.status.success(), "{}", String::from_utf8_lossy(&trained.stderr));
+        finished(run.args(["--steps", "512", "--seed", seed, "--no-web"]));
         std::fs::rename(folder.join("run"), folder.join(name)).unwrap();
     }
 }
@@ -31,29 +31,14 @@ fn train_two(folder: &Path) {
 const ARE_SIDE_BY_SIDE: &str = "document.querySelector('#curves canvas') && document.querySelector('#health canvas')
     && [...document.querySelectorAll('.charts .reading')].every((one) => /first .*second /.test(one.textContent))";
 
-/// Starts a server of pages and finds its address in its output.
-fn serve(command: &mut Command, before: &str, after: &str) -> (Process, String) {
-    let mut server = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut lines = BufReader::new(server.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    let address = lines.find_map(|line| {
-        let (_, rest) = line.split_once(before)?;
-        Some(rest.split_once(after).map_or(rest, |(address, _)| address).to_owned())
-    });
-    (server, address.unwrap())
-}
-
-fn complaints(browser: &Browser) -> Vec<Value> {
-    browser.log("browser").into_iter().filter(|entry| entry["level"] == "SEVERE").collect()
-}
-
 #[test]
 fn finished_runs_stand_side_by_side_and_their_policies_play() {
     let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
     let folder = tempfile::tempdir().unwrap();
     train_two(folder.path());
-    let (_server, address) = serve(lodestone(folder.path()).args(["serve", "first", "second"]), "page at ", "\n");
+    let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "first", "second"]));
     let browser = Browser::start(&driver, folder.path());
-    browser.open(&address);
+    browser.open(&format!("http://{address}"));
     browser.until("document.querySelector('#state').textContent === 'finished'");
     let options =
         browser.run("return [...document.querySelectorAll('#run-name option')].map((one) => one.textContent)");
@@ -61,7 +46,7 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     browser.until(ARE_SIDE_BY_SIDE);
     assert_eq!(browser.run(include_str!("curves.js")), serde_json::json!([]));
     // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is recorded.
-    let videos: Value = serde_json::from_str(&get(address.strip_prefix("http://").unwrap(), "/api/videos").1).unwrap();
+    let videos: Value = serde_json::from_str(&get(&address, "/api/videos").1).unwrap();
     let recorded = &videos["videos"][0]["weights_version"];
     assert!(recorded.is_u64(), "{videos}");
     browser
@@ -71,13 +56,50 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     browser.until("!document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
     // Other episodes are run on demand, by the policy of the selected run.
-    browser.open(&format!("{address}/?run=1&axis=elapsed_s&smoothing=0.6"));
+    browser.open(&format!("http://{address}/?run=1&axis=elapsed_s&smoothing=0.6"));
     browser.until("document.querySelector('#run-name select')?.value === '1'");
     browser.until("health.options.smoothing === 0.6 && document.querySelector('#chart-axis').value === 'elapsed_s'");
     browser.element("#stage-next").click();
     browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").starts_with("The policy builds "), "{}", browser.text("#replay-note"));
-    assert_eq!(complaints(&browser), Vec::<Value>::new());
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn a_sweep_is_shown_before_its_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = folder.path().join("sweep");
+    write_sweep(&sweep, &["0.9", "0.95"], 2);
+    std::fs::write(sweep.join("point-2/seed-2.json"), r#"{"state":"failed","status":"exit status: 64"}"#).unwrap();
+    finished(lodestone(folder.path()).args(["serve", "sweep", "--export", "copy"]));
+    let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "sweep"]));
+    let told = get(&address, "/api/sweep").1;
+    assert_eq!(std::fs::read_to_string(folder.path().join("copy/api/sweep.json")).unwrap(), told);
+    let told: Value = serde_json::from_str(&told).unwrap();
+    assert_eq!(told["points"][1]["failed"][0]["log"], "point-2/seed-2.log");
+
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let browser = Browser::start(&driver, folder.path());
+    browser.open(&format!("http://{address}"));
+    // A chart of the only group, with a curve of either point, which one can leave out.
+    let n_curves = "document.querySelectorAll('#sweep .reading .dot').length";
+    browser.until(&format!("{n_curves} === 2"));
+    let cells = browser.run("return [...document.querySelectorAll('#sweep tbody tr')].map((row) => row.innerText)");
+    let expected = ["learner.gamma=0.9\t1 2\t100 %\n100 % to 100 %", "learner.gamma=0.95\t1\t100 %"];
+    assert_eq!(cells, serde_json::json!(expected));
+    assert_eq!(
+        browser.text("#sweep li"),
+        "failed: learner.gamma=0.95, seed 2 (exit status: 64); see point-2/seed-2.log"
+    );
+    browser.element("#sweep tr:first-child input").click();
+    assert_eq!(browser.run(&format!("return {n_curves}")), 1);
+    browser.element("#sweep input[value=iqm]").click();
+    assert!(browser.text("#sweep caption").contains("interquartile mean"));
+    browser.until("location.search === '?curves=2&average=iqm'");
+    // The second run that is done.
+    browser.element("#sweep tr:nth-child(2) a").click();
+    browser.until("document.querySelector('#run-name').textContent === 'learner.gamma=0.95, seed 1'");
+    assert_eq!(errors(&browser), Vec::<Value>::new());
 }
 
 #[test]
@@ -90,7 +112,8 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     let kept: Vec<u64> = RunPaths::new(folder.path().join("run")).snapshots().into_keys().collect();
     let (first, last) = (kept[0], kept[kept.len() - 1]);
     assert!(first < last, "{kept:?}");
-    let (_server, address) = serve(lodestone(folder.path()).args(["serve", "run"]), "page at ", "\n");
+    let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "run"]));
+    let address = format!("http://{address}/");
     let browser = Browser::start(&driver, folder.path());
     browser.open(&format!("{address}?blueprint=2_000&seed=3&snapshot={last}"));
     let builds = |after: u64| {
@@ -120,7 +143,7 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     // A link to one that is not there says so.
     browser.open(&format!("{address}?blueprint=2_000&snapshot=1"));
     browser.until("document.querySelector('#replay-note').textContent.startsWith('there is no snapshot after 1 ')");
-    assert!(complaints(&browser).iter().all(|entry| entry["source"] == "network"));
+    assert!(errors(&browser).iter().all(|entry| entry["source"] == "network"));
     // Other commands read a snapshot as well.
     let (kept, eval) =
         (format!("run/snapshots/{first}.safetensors"), ["eval", "--episodes", "1", "--blueprint", "2_000"]);
@@ -134,12 +157,14 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
     let folder = tempfile::tempdir().unwrap();
     train_two(folder.path());
-    let exported = lodestone(folder.path()).args(["serve", "first", "second", "--export", "copy"]).output().unwrap();
-    assert!(exported.status.success(), "{}", String::from_utf8_lossy(&exported.stderr));
+    finished(lodestone(folder.path()).args(["serve", "first", "second", "--export", "copy"]));
     // A plain file server that knows nothing about this program.
     let mut python = Command::new("python3");
     let files = python.args(["-u", "-m", "http.server", "--bind", "127.0.0.1", "0"]).current_dir(folder.path());
-    let (_server, address) = serve(files, "(", "/)");
+    let mut server = Process(files.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address = &line[line.find("http://").unwrap()..line.find("/)").unwrap()];
     let browser = Browser::start(&driver, folder.path());
     browser.open(&format!("{address}/copy/"));
     browser.until("document.querySelector('#state').textContent === 'a copy'");
@@ -151,7 +176,7 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     browser.element("#stage-agent input[value=expert]").click();
     browser.until("document.querySelector('#replay-note').textContent.startsWith('The expert builds ')");
     browser.until(ARE_SIDE_BY_SIDE);
-    let seen = complaints(&browser);
+    let seen = errors(&browser);
     // Browsers request this icon from every server.
     let others: Vec<&Value> = seen.iter().filter(|entry| !entry["message"].to_string().contains("favicon")).collect();
     assert_eq!(others, Vec::<&Value>::new());

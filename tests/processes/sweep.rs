@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::program::lodestone;
+use crate::support::program::{check_refused, lodestone, printed, refused};
 use crate::support::served::{Process, interrupt};
 
 /// Settings of a training that takes a moment.
@@ -67,49 +67,43 @@ fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
     let note = format!("{} runs are not finished; go on with", left.len());
     assert!(rest.iter().any(|line| line.starts_with(&note)), "{rest:?}");
 
-    let finished = sweep(folder.path(), &args).output().unwrap();
-    let printed = String::from_utf8(finished.stdout).unwrap();
-    assert!(finished.status.success(), "{}", String::from_utf8_lossy(&finished.stderr));
-    let trained: Vec<&str> =
-        printed.lines().filter(|line| line.contains(": training in")).map(|line| &line[..5]).collect();
-    assert_eq!(trained, left, "{printed}");
+    let all = printed(&mut sweep(folder.path(), &args));
+    let trained: Vec<&str> = all.lines().filter(|line| line.contains(": training in")).map(|line| &line[..5]).collect();
+    assert_eq!(trained, left, "{all}");
     for gamma in ["0.9", "0.95"] {
-        let row = format!("| learner.gamma={gamma} | train 2-6 (2) | greedy | 2 | ");
-        assert!(table(&printed).contains(&row), "{printed}");
+        let row = format!("| learner.gamma={gamma} | greedy | 2 | ");
+        assert!(table(&all).contains(&row), "{all}");
     }
+    assert!(all.contains("| point | actions | seeds | train 2-6 (2) |") && all.ends_with(" serve s\n"), "{all}");
 
     // Nothing is left to train.
     for mut again in [sweep(folder.path(), &args), lodestone(folder.path())] {
         if again.get_args().next().is_none() {
             again.args(["sweep", "s"]);
         }
-        let again = String::from_utf8(again.output().unwrap().stdout).unwrap();
-        assert_eq!((table(&again), again.contains("training in")), (table(&printed), false), "{again}");
+        let again = printed(&mut again);
+        assert_eq!((table(&again), again.contains("training in")), (table(&all), false), "{again}");
     }
-    let other = sweep(folder.path(), &["--grid", "learner.gamma=0.9"]).output().unwrap();
-    assert_eq!(other.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&other.stderr).contains("s holds another sweep, with the seeds [1, 2]"));
+    let other = ["--grid", "learner.gamma=0.9"];
+    refused(&mut sweep(folder.path(), &other), 2, &["s holds another sweep, with the seeds [1, 2]"]);
 }
 
 #[test]
 fn a_point_that_fails_is_named_with_its_log_and_the_others_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let ended = sweep(folder.path(), &["--grid", "device=gpu,cpu", "--jobs", "2", "--json"]).output().unwrap();
-    let stderr = String::from_utf8(ended.stderr).unwrap();
-    assert_eq!(ended.status.code(), Some(1), "{stderr}");
-    assert!(stderr.contains("device=gpu, seed 1: failed (exit status: 64); see s/point-1/seed-1.log"), "{stderr}");
-    assert!(stderr.contains("1 of 2 runs failed"), "{stderr}");
+    let failed = "device=gpu, seed 1: failed (exit status: 64); see s/point-1/seed-1.log";
+    check_refused(&ended, 1, &[failed, "1 of 2 runs failed"], "sweep");
     assert!(fs::read_to_string(folder.path().join("s/point-1/seed-1.log")).unwrap().contains("no GPU backend"));
     let table: serde_json::Value = serde_json::from_slice(&ended.stdout).unwrap();
     let [gpu, cpu] = [&table["points"][0], &table["points"][1]];
     assert_eq!((&gpu["failed"][0]["log"], &gpu["n_done"]), (&"s/point-1/seed-1.log".into(), &0.into()));
     assert_eq!((cpu["failed"].as_array().unwrap().len(), &cpu["n_done"]), (0, &1.into()));
     assert_eq!((&cpu["groups"][0]["group"], &cpu["groups"][0]["n_goals"]), (&"train 2-6".into(), &2.into()));
+    let curve = cpu["curve"].as_array().unwrap();
+    assert_eq!(curve.last().unwrap()["groups"], cpu["groups"], "a curve ends with the table");
 
-    let wrong = sweep(folder.path(), &["--grid", "learner.gama=0.9"]).output().unwrap();
-    assert_eq!(wrong.status.code(), Some(64));
-    assert!(String::from_utf8_lossy(&wrong.stderr).contains("gamma"));
+    refused(&mut sweep(folder.path(), &["--grid", "learner.gama=0.9"]), 64, &["gamma"]);
     // What Slurm would run.
-    let array = lodestone(folder.path()).args(["sweep", "s", "--only", "1"]).output().unwrap();
-    assert!(array.status.success() && array.stdout.is_empty());
+    assert_eq!(printed(lodestone(folder.path()).args(["sweep", "s", "--only", "1"])), "");
 }

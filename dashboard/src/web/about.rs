@@ -67,8 +67,8 @@ pub(super) fn base(place: usize) -> String {
     if place == 0 { String::new() } else { format!("/runs/{place}") }
 }
 
-/// Returns the response to `/api/about`; `runs` are the names of all runs of the page.
-pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
+/// Returns the response to `/api/about`; `runs` are the names of all runs of the page, which may be those of a sweep.
+pub(super) fn about(about: &About, can_play: bool, runs: &[String], is_of_sweep: bool) -> Value {
     let runs: Vec<Value> =
         runs.iter().enumerate().map(|(place, name)| json!({ "name": name, "base": base(place) })).collect();
     let mut told = json!(about);
@@ -77,5 +77,6 @@ pub(super) fn about(about: &About, can_play: bool, runs: &[String]) -> Value {
     told["can_play"] = can_play.into();
     told["gripper_colors"] = json!(GRIPPER_COLORS);
     told["runs"] = runs.into();
+    told["is_of_sweep"] = is_of_sweep.into();
     told
 }

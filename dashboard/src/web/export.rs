@@ -35,8 +35,7 @@ struct Copy<'d> {
 /// Writes the page of these runs to `folder`, which it creates, with an episode for each of `goals` by the policy and
 /// by the expert. Returns the number of files.
 pub(super) async fn export(
-    first: Shown,
-    others: Vec<Shown>,
+    (first, others, sweep): (Shown, Vec<Shown>, Option<Value>),
     goals: &[BlueprintId],
     folder: &Path,
 ) -> anyhow::Result<usize> {
@@ -44,13 +43,17 @@ pub(super) async fn export(
     ensure!(!folder.exists(), unmade());
     let unfinished = Unfinished::create(folder).with_context(unmade)?;
     let bases: Vec<String> = (0..=others.len()).map(base).collect();
-    let routes = TowerToHyperService::new(routes::routes(first, others, Places::default(), Valid::default()));
+    let is_sweep = sweep.is_some();
+    let routes = TowerToHyperService::new(routes::routes(first, others, sweep, Places::default(), Valid::default()));
     let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
     for (path, _, text) in assets::all() {
         let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));
         copy.write(if path == "/" { "/index.html" } else { path }, text.as_bytes())?;
     }
     copy.take("/api/blueprints", "/api/blueprints.json").await?;
+    if is_sweep {
+        copy.take("/api/sweep", "/api/sweep.json").await?;
+    }
     for base in bases {
         copy.run(&base, goals).await?;
     }

@@ -13,9 +13,9 @@ use axum::http::header::{
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
 use blueprints::Catalog;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::task::JoinError;
 
 use super::about::{About, Kind, about, base};
@@ -56,18 +56,27 @@ pub(super) struct Shown {
 }
 
 /// Builds the routes. All but the two for probes require the token of `config` or, without a token, a host name that is
-/// this machine's or in `hosts`. Of several runs, the first is at the root and run `i` is below `/runs/<i>`. Listening
-/// browsers take `places`.
-pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: Valid<WebConfig>) -> Router {
+/// this machine's or in `hosts`. Of several runs, the first is at the root and run `i` is below `/runs/<i>`; `sweep` is
+/// what they belong to. Listening browsers take `places`.
+pub(super) fn routes(
+    first: Shown,
+    others: Vec<Shown>,
+    sweep: Option<Value>,
+    places: Places,
+    config: Valid<WebConfig>,
+) -> Router {
     let board = first.board.clone();
     let guard = Arc::new(Guard { board: board.clone(), token: config.token.clone(), hosts: config.hosts.clone() });
     let opens = first.about.kind == Kind::Play;
     // The gallery shows the goals of the first run.
     let catalog = first.about.catalog.clone();
     let names = std::iter::once(&first).chain(&others).map(|run| run.about.run.clone()).collect::<Vec<_>>();
-    let mut guarded = of_run(first, &names);
+    let mut guarded = of_run(first, &names, sweep.is_some());
     for (place, run) in others.into_iter().enumerate() {
-        guarded = guarded.nest(&base(place + 1), of_run(run, &names));
+        guarded = guarded.nest(&base(place + 1), of_run(run, &names, sweep.is_some()));
+    }
+    if let Some(sweep) = sweep {
+        guarded = guarded.route("/api/sweep", told(&sweep));
     }
     guarded = guarded
         .route("/api/blueprints", get(gallery::list))
@@ -99,13 +108,18 @@ pub(super) fn routes(first: Shown, others: Vec<Shown>, places: Places, config: V
 #[derive(Clone)]
 struct Name(String);
 
+/// Serves JSON that does not change.
+fn told<S: Clone + Send + Sync + 'static>(json: &Value) -> MethodRouter<S> {
+    let answer = Bytes::from(json.to_string());
+    get(move || std::future::ready(([(CONTENT_TYPE, "application/json")], answer.clone())))
+}
+
 /// Builds the endpoints of one run.
-fn of_run(run: Shown, names: &[String]) -> Router {
+fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
     let name = Name(run.about.run.clone());
-    let answer = Bytes::from(about(&run.about, run.stage.is_some(), names).to_string());
-    let told = move || std::future::ready(([(CONTENT_TYPE, "application/json")], answer.clone()));
+    let about = about(&run.about, run.stage.is_some(), names, is_of_sweep);
     Router::new()
-        .route("/api/about", get(told))
+        .route("/api/about", told(&about))
         .route("/api/history", get(history))
         .route("/api/events", get(events))
         .route("/api/play", get(stage::play).post(stage::play_drawn))

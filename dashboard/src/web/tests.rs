@@ -173,6 +173,7 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("POST /api/check HTTP/1.1", &host, 400),
         ("POST /api/check HTTP/1.1", "Host: evil.example\r\nContent-Length: 4\r\n", 403),
         ("GET /runs/1/api/about HTTP/1.1", &host, 404),
+        ("GET /api/sweep HTTP/1.1", &host, 404),
         ("GET /api/history HTTP/1.1", &host, 200),
         ("GET /api/replay HTTP/1.1", &host, 202),
         ("GET /metrics HTTP/1.1", &host, 200),
@@ -565,11 +566,9 @@ async fn runs_that_have_ended_stand_side_by_side() {
     };
     let page = Page::bind(&Valid::default()).await.unwrap();
     let (address, shutdown) = (page.address(), CancellationToken::new());
-    let task = tokio::spawn(page.show(
-        finished("a", 100, Catalog::builtin().clone()),
-        vec![finished("b", 200, own)],
-        shutdown.clone(),
-    ));
+    let (first, others) = (finished("a", 100, Catalog::builtin().clone()), vec![finished("b", 200, own)]);
+    let all = Finished { first, others, sweep: Some(json!({ "points": [] })) };
+    let task = tokio::spawn(page.show(all, shutdown.clone()));
     let ask = async |path: &str| {
         let mut stream = TcpStream::connect(address).await.unwrap();
         stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await.unwrap();
@@ -583,6 +582,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
     assert_eq!((&about["run"], &about["kind"], &about["can_play"]), (&json!("b"), &json!("finished"), &json!(false)));
     let runs = json!([{ "name": "a", "base": "" }, { "name": "b", "base": "/runs/1" }]);
     assert_eq!((&about["runs"], &get("/api/about").await["runs"]), (&runs, &runs));
+    assert_eq!((&about["is_of_sweep"], get("/api/sweep").await), (&json!(true), json!({ "points": [] })));
     assert_eq!(get("/api/history").await["passes"][0]["n_env_steps"], 100);
     assert_eq!(get("/runs/1/api/history").await["passes"][0]["n_env_steps"], 200);
     let video = "mine.7.success.1";

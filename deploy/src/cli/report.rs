@@ -8,7 +8,7 @@ use proto::ActionMode;
 /// Arguments of `report`.
 #[derive(Clone, Debug, Args)]
 pub struct ReportArgs {
-    /// Folder of a run, in which the evaluator keeps eval.db.
+    /// Folder of a run, in which the evaluator keeps eval.db, or of a sweep.
     #[arg(value_name = "RUN")]
     pub run: PathBuf,
     /// Folder for the tables; created if it does not exist [default: RUN/report].

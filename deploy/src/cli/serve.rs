@@ -10,7 +10,7 @@ use super::values;
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
-    /// Folders of one or more runs.
+    /// Folders of one or more runs, or of a sweep.
     #[arg(required = true, value_name = "RUN")]
     pub runs: Vec<PathBuf>,
     /// Address of the web page [default: 127.0.0.1 with a free port].

@@ -42,7 +42,7 @@ pub struct SweepArgs {
     /// Train nothing, but print a job array for Slurm's `sbatch`, with --jobs runs at a time [default: all].
     #[arg(long, requires = "out", conflicts_with = "json")]
     pub slurm: bool,
-    /// Print the results as JSON at the end; everything else goes to stderr.
+    /// Print the results, with curves, as JSON at the end; everything else goes to stderr.
     #[arg(long)]
     pub json: bool,
 }

@@ -1,7 +1,7 @@
-//! `report`: tables of a run's evaluations.
+//! `report`: tables of a run's evaluations, or of a sweep.
 
 mod groups;
-mod tables;
+pub(super) mod tables;
 
 use std::path::{Path, PathBuf};
 
@@ -13,6 +13,7 @@ use serde_json::json;
 use super::files::{File, write_files};
 use super::names::{name, names};
 use super::serve;
+use super::sweep::{self, Results};
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -29,7 +30,9 @@ const REPORT: &str = "report";
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let stdout = terminal;
     let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };
-    check_exists(&args.run)?;
+    if let Some(results) = sweep::results(&args.run)? {
+        return of_sweep(args, &results, stdout);
+    }
     let (acting, all) = (args.acting, history(&args.run)?);
     let passes = shown(&all, &args.run, terminal);
     let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
@@ -43,24 +46,52 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if !args.beside.is_empty() {
         files.push(comparison(&passes, args, terminal)?);
     }
-    let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
-    write_files(&out, &files)?;
+    let written = write(args, &files)?;
     if args.json {
-        return super::common::json(&summary(args, &passes, &grid, &out, &files), stdout);
+        return super::common::json(&summary(args, &passes, &grid, &written), stdout);
     }
     let what = format!("{} of {}", count(passes.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
     terminal.print(&format!("{} ({what}):", name(&args.run)));
-    terminal.print(groups::markdown(&rows).trim_end());
-    for (file, _) in files {
-        terminal.print(&format!("  {}", out.join(file).display()));
+    tell(args, &groups::markdown(&rows), &written, terminal);
+    Ok(())
+}
+
+/// Writes the files; returns their paths.
+fn write(args: &ReportArgs, files: &[File]) -> anyhow::Result<Vec<String>> {
+    let out = args.out.clone().unwrap_or_else(|| args.run.join(REPORT));
+    write_files(&out, files)?;
+    Ok(files.iter().map(|(file, _)| out.join(file).display().to_string()).collect())
+}
+
+/// Prints the table, and where to find the rest.
+fn tell(args: &ReportArgs, table: &str, written: &[String], terminal: &Terminal) {
+    terminal.print(table.trim_end());
+    for path in written {
+        terminal.print(&format!("  {path}"));
     }
     let runs: Vec<PathBuf> = [&args.run].into_iter().chain(&args.minus).chain(&args.beside).cloned().collect();
     terminal.print(&format!("heat map and curves: {}", serve::command(&runs)));
+}
+
+/// The report of a sweep, all of whose runs that are done are in its curves.
+fn of_sweep(args: &ReportArgs, results: &Results, terminal: &Terminal) -> Result<(), Failure> {
+    if args.minus.is_some() || !args.beside.is_empty() {
+        return Err(Failure::Usage("--minus and --beside compare runs, and RUN is a sweep".to_owned()));
+    }
+    results.done(1)?;
+    if !results.has(args.acting) {
+        return Err(Failure::NothingToShow(not_this_way(&args.run, args.acting)));
+    }
+    let written = write(args, &results.files(args.acting))?;
+    if args.json {
+        return super::common::json(&json!({ "sweep": results, "files": written }), terminal);
+    }
+    tell(args, &results.markdown(), &written, terminal);
     Ok(())
 }
 
 /// Output of `--json`: the groups of the last evaluation, and the files written.
-fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: &[File]) -> serde_json::Value {
+fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, files: &[String]) -> serde_json::Value {
     let groups = passes.last().map(|last| groups::rows(last)).unwrap_or_default();
     let group = |row: &groups::GroupRow| {
         json!({
@@ -77,7 +108,7 @@ fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, out: &Path, files: 
         "weights_version": passes.last().map(|last| last.weights_version),
         "n_env_steps": passes.last().map(|last| last.n_env_steps),
         "groups": groups.iter().map(group).collect::<Vec<_>>(),
-        "files": files.iter().map(|(file, _)| out.join(file).display().to_string()).collect::<Vec<_>>(),
+        "files": files,
     })
 }
 
@@ -141,17 +172,16 @@ fn shown<'p>(all: &'p [Pass], run: &Path, terminal: &Terminal) -> Vec<&'p Pass> 
 }
 
 fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
-    let other = match acting {
-        ActionMode::Greedy => ActionMode::Sampled,
-        ActionMode::Sampled => ActionMode::Greedy,
-    };
     let history = RunPaths::new(run).history();
-    let run = history.display();
-    Failure::NothingToShow(if Grid::success(passes, other).is_some() {
-        format!("{run} has no evaluation of {acting} actions: use --acting {other}")
+    Failure::NothingToShow(if Grid::success(passes, acting.other()).is_some() {
+        not_this_way(&history, acting)
     } else {
-        format!("{run} has no evaluation yet: wait for the first one")
+        format!("{} has no evaluation yet: wait for the first one", history.display())
     })
+}
+
+fn not_this_way(file: &Path, acting: ActionMode) -> String {
+    format!("{} has no evaluation of {acting} actions: use --acting {}", file.display(), acting.other())
 }
 
 fn file(name: &str, csv: String) -> File {

@@ -1,4 +1,4 @@
-//! `serve`: the web page for finished runs, or a static copy of it.
+//! `serve`: the web page for finished runs or a sweep, or a static copy of it.
 
 use proto::Valid;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -8,7 +8,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId, Group};
 use dashboard::config::WebConfig;
-use dashboard::{About, Farewell, FinishedRun, Kind, Page};
+use dashboard::{About, Farewell, Finished, FinishedRun, Kind, Page};
 use proto::keys::METRICS_LEARNER;
 use proto::metrics::LearnerMetrics;
 use runlog::{History, RunPaths};
@@ -19,6 +19,7 @@ use super::goals::Goals;
 use super::models::Source;
 use super::names::names;
 use super::stage::stage;
+use super::sweep;
 use crate::cli::ServeArgs;
 use crate::config::{Base, Config, merge, read};
 use crate::exit::Failure;
@@ -26,23 +27,35 @@ use crate::live::Terminal;
 use crate::run_dir::{check_run, origin_of, preset_of};
 use crate::shell;
 
+/// Maximum number of runs of a sweep that can be looked at one by one; all are kept in memory.
+const MAX_RUNS: usize = 60;
+
 /// Serves the page until `shutdown`, or writes the copy.
 ///
 /// # Errors
 /// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
-    let names = names(args.runs.iter().map(PathBuf::as_path));
+    let sweep = match &args.runs[..] {
+        [folder] => sweep::results(folder)?,
+        _ => None,
+    };
+    let (folders, names) = match &sweep {
+        Some(results) => results.done(MAX_RUNS)?,
+        None => (args.runs.clone(), names(args.runs.iter().map(PathBuf::as_path))),
+    };
+    let sweep = sweep.map(|results| serde_json::to_value(results.without_paths()));
+    let sweep = sweep.transpose().map_err(anyhow::Error::from)?;
     let farewell = Farewell { ended: "the program", command: Some(command(&args.runs)) };
-    let mut runs = args.runs.iter().zip(names).map(|(folder, name)| finished(folder, name, farewell.clone()));
+    let mut runs = folders.iter().zip(names).map(|(folder, name)| finished(folder, name, farewell.clone()));
     let mut first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
-        let named = Goals::open_beside(&args.blueprint, args.runs.first().map(PathBuf::as_path))?;
+        let named = Goals::open_beside(&args.blueprint, folders.first().map(PathBuf::as_path))?;
         let goals = recorded(named.ids(), &first.about);
         first.about.catalog = named.catalog().clone();
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Err(Failure::NothingWritten(folder.clone())),
-            n_files = dashboard::export(first, others, &goals, folder) => n_files?,
+            n_files = dashboard::export(Finished { first, others, sweep }, &goals, folder) => n_files?,
         };
         terminal.print(&format!("wrote {n_files} files to {}; any web server can serve them", folder.display()));
         return Ok(());
@@ -52,7 +65,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     let web = Valid::new(web).map_err(|error| Failure::Usage(format!("{error} (here: --web and --token)")))?;
     let page = Page::bind(&web).await?;
     terminal.print(&format!("page at http://{}\nCtrl-C ends", page.address()));
-    page.show(first, others, shutdown).await?;
+    page.show(Finished { first, others, sweep }, shutdown).await?;
     Ok(())
 }
 

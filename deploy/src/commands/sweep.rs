@@ -1,23 +1,27 @@
 //! `sweep`: trains the points of a grid or of a random search, with several seeds each, and compares them.
 
 mod axes;
+mod curves;
 mod plan;
 mod pool;
 mod results;
 mod statistics;
+mod tables;
 
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 use tokio_util::sync::CancellationToken;
 
+use super::serve;
 use crate::cli::SweepArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::shell;
 use plan::{Plan, Run};
 use pool::{Pool, Stdins};
-use results::{RunResult, Table};
+pub(super) use results::Results;
+use results::RunResult;
 
 /// Runs the subcommand.
 ///
@@ -57,13 +61,17 @@ pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: Cancell
             _ => Ok(()),
         };
     }
-    let table = Table::of(&plan, &folder)?;
+    let mut results = Results::of(&plan, &folder)?;
     if args.json {
-        super::common::json(&table, terminal)?;
+        results = results.with_curves()?;
+        super::common::json(&results, terminal)?;
     } else {
-        terminal.print(&format!("\n{}", table.render()));
+        terminal.print(&format!("\n{}", results.markdown().trim_end()));
     }
-    match table.n_missing() {
+    if results.done(1).is_ok() {
+        said.print(&format!("page with curves: {}", serve::command(std::slice::from_ref(&folder))));
+    }
+    match results.n_missing() {
         (0, 0) => Ok(()),
         (0, n) => {
             said.print(&format!(
@@ -75,6 +83,18 @@ pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: Cancell
         }
         (n, _) => Err(Failure::Service(anyhow!("{n} of {} runs failed", plan.points.len() * plan.seeds.len()))),
     }
+}
+
+/// The results of the sweep in the folder, with curves; `None` if it is no sweep.
+///
+/// # Errors
+/// When its plan, a result, or the history of a run cannot be read.
+pub(super) fn results(folder: &Path) -> Result<Option<Results>, Failure> {
+    crate::run_dir::check_exists(folder)?;
+    if !folder.join(plan::FILE).exists() {
+        return Ok(None);
+    }
+    Results::of(&Plan::read(folder)?, folder)?.with_curves().map(Some)
 }
 
 /// The runs that have no result, or one that may be better the next time.

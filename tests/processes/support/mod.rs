@@ -1,4 +1,5 @@
-//! What several of these tests share: the program, a browser, a page, a connection that can be cut, and Python readers.
+//! What several of these tests share: the program, a browser, a page, a connection that can be cut, handmade runs, and
+//! Python readers.
 
 pub(crate) mod judges;
 pub(crate) mod line;
@@ -6,3 +7,4 @@ pub(crate) mod played;
 pub(crate) mod program;
 pub(crate) mod served;
 pub(crate) mod webdriver;
+pub(crate) mod written;

@@ -207,8 +207,9 @@ function introduce(about) {
     $("replay-note").textContent = "This run has no policy to play. You can still rotate and step through its videos.";
   }
   else if (isCopy) ["stage-again", "stage-mode", "stage-keep-label", "stage-video", "hand-bar", "draw"].forEach((id) => $(id).remove());
-  if (about.runs.length > 1) chooseRun(about.runs);
-  else drawOrigins($("origin"), [{ name: about.run, origin: about.origin }]);
+  if (about.is_of_sweep) import("./sweep.js").then(({ showSweep }) => showSweep($("tiles"), choiceOf(about.runs), about.runs.length));
+  else if (about.runs.length > 1) chooseRun(about.runs);
+  if (about.is_of_sweep || about.runs.length === 1) drawOrigins($("origin"), [{ name: about.run, origin: about.origin }]);
   snapshots.learn();
   const isRestored = restore();
   if (about.kind === "play") {
@@ -234,14 +235,22 @@ async function startTrained() {
 }
 
 /**
+ * Creates a selector for the shown run.
+ * @param {About["runs"]} all
+ */
+function choiceOf(all) {
+  const choice = element("select", { "aria-label": "Run", "data-served": "" }, ...all.map(({ name }, i) => element("option", { value: String(i) }, name)));
+  choice.value = String(Math.max(all.findIndex(({ base }) => base === model.base), 0));
+  choice.addEventListener("change", () => { location.search = `?run=${choice.value}`; });
+  return choice;
+}
+
+/**
  * Adds a run selector, and fetches the curves of all runs and what produced them.
  * @param {About["runs"]} all
  */
 async function chooseRun(all) {
-  const choice = element("select", { "aria-label": "Run", "data-served": "" }, ...all.map(({ name }, i) => element("option", { value: String(i) }, name)));
-  choice.value = String(Math.max(all.findIndex(({ base }) => base === model.base), 0));
-  choice.addEventListener("change", () => { location.search = `?run=${choice.value}`; });
-  $("run-name").replaceChildren(choice);
+  $("run-name").replaceChildren(choiceOf(all));
   const ask = async (/** @type {string} */ base, /** @type {string} */ what) => (await fetch(answerAt(base, what))).json();
   const asked = Promise.all(all.map(async ({ name, base }) => ({ name, origin: (await ask(base, "about")).origin })));
   model.beside = await Promise.all(all.map(async ({ name, base }) => {

@@ -156,9 +156,50 @@ export interface About {
   can_play: boolean;
   gripper_colors: Rgb[];
   runs: { name: string; base: string }[];
+  /** Whether the runs are those of a sweep. */
+  is_of_sweep: boolean;
   farewell: { ended: string; command: string | null } | null;
   origin: Origin | null;
   recorded?: string[];
+}
+
+/** Averages over the seeds and goals of a point, with 95 % intervals where there are several seeds. */
+export interface Aggregate {
+  mean: number;
+  mean_interval: [number, number] | null;
+  /** Of the middle half. */
+  iqm: number;
+  iqm_interval: [number, number] | null;
+}
+
+/** The success of a point in a group. */
+export interface SweepGroup extends Aggregate {
+  group: string;
+  acting: Acting;
+  n_runs: number;
+  n_goals: number;
+}
+
+/** A point of a sweep. */
+export interface SweepPoint {
+  name: string;
+  settings: [string, string][];
+  /** After all steps. */
+  groups: SweepGroup[];
+  curve: { n_env_steps: number; groups: SweepGroup[] }[];
+  n_done: number;
+  failed: { seed: number; status: string; log: string }[];
+  /** Seeds of the runs that have not ended. */
+  unfinished: number[];
+}
+
+/** `/api/sweep` */
+export interface SweepResults {
+  folder: string;
+  seeds: number[];
+  points: SweepPoint[];
+  /** The runs that are done, in the order of the page's runs. */
+  done: { point: number; seed: number }[];
 }
 
 /** An entry of `/api/videos`. */

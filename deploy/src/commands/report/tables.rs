@@ -47,11 +47,12 @@ fn row(name: &str, n_env_steps: u64, n_blueprints: usize, of: &SuccessRate) -> V
 }
 
 /// Puts a name with separators in quotes.
-fn quoted(name: &str) -> String {
+pub(in crate::commands) fn quoted(name: &str) -> String {
     if name.contains([',', '"', '\n']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.to_owned() }
 }
 
-fn csv(rows: impl Iterator<Item = Vec<String>>) -> String {
+/// Joins the cells of rows.
+pub(in crate::commands) fn csv(rows: impl Iterator<Item = Vec<String>>) -> String {
     rows.map(|row| row.join(",") + "\n").collect()
 }
 

@@ -14,7 +14,7 @@ use crate::config::{Config, ConfigError, MAX_SEED, Override};
 use crate::exit::Failure;
 
 /// Name of the plan in the folder of a sweep.
-const FILE: &str = "sweep.json";
+pub(super) const FILE: &str = "sweep.json";
 
 /// Maximum size of the plan in bytes: every point has all settings, about 10 000 bytes.
 const MAX_BYTES: u64 = 256 << 20;
@@ -47,12 +47,13 @@ pub(super) struct PlannedPoint {
 }
 
 /// A run of a sweep: one point with one seed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Run {
     /// Index of the point.
     pub(super) point: usize,
     pub(super) seed: u64,
     /// The folder of the run.
+    #[serde(skip)]
     pub(super) folder: PathBuf,
 }
 
@@ -226,18 +227,7 @@ mod tests {
 
     #[test]
     fn every_point_has_all_settings_and_every_seed_a_run_of_each() {
-        let args = [
-            "--preset",
-            "near-goal",
-            "--set",
-            "learner.gae_lambda=0.9",
-            "--steps",
-            "1e3",
-            "--seed",
-            "7",
-            "--seeds",
-            "2",
-        ];
+        let args = ["--preset=near-goal", "--set=learner.gae_lambda=0.9", "--steps=1e3", "--seed=7", "--seeds=2"];
         let plan = plan(&[&args[..], &["--grid", "learner.gamma=0.9,0.95", "--grid", "ablation=none,resnet"]].concat());
         let plan = plan.unwrap();
         let config = |i: usize| Config::parse(&plan.points[i].config, "point").unwrap();

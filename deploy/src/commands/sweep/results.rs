@@ -1,18 +1,19 @@
-//! How the runs of a sweep ended, and the table of their success.
+//! How the runs of a sweep ended, and their success.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use blueprints::outside;
+use blueprints::{Group, outside};
 use proto::ActionMode;
 use runlog::series::{group_of, lineage, outcome_of};
 use runlog::{History, Pass, RunPaths};
 use serde::{Deserialize, Serialize};
 
+use super::curves::{self, Moment};
 use super::plan::{Plan, Run};
 use super::statistics::Aggregate;
+use crate::commands::names::name;
 use crate::exit::Failure;
 use crate::replace::{PLAIN, replace};
 
@@ -43,50 +44,55 @@ pub(super) enum RunResult {
 /// Success of a run on one goal.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Score {
-    group: String,
-    goal: String,
-    acting: ActionMode,
-    rate: f64,
+    pub(super) group: String,
+    pub(super) goal: String,
+    pub(super) acting: ActionMode,
+    pub(super) rate: f64,
 }
 
 /// The success of a point in a group.
 #[derive(Debug, PartialEq, Serialize)]
-struct GroupResult {
-    group: String,
-    acting: ActionMode,
-    n_runs: usize,
-    n_goals: usize,
+pub(super) struct GroupResult {
+    pub(super) group: String,
+    pub(super) acting: ActionMode,
+    pub(super) n_runs: usize,
+    pub(super) n_goals: usize,
     #[serde(flatten)]
-    aggregate: Aggregate,
+    pub(super) aggregate: Aggregate,
 }
 
 /// A point of the table.
 #[derive(Debug, Serialize)]
-struct PointResult {
-    name: String,
+pub(super) struct PointResult {
+    pub(super) name: String,
     settings: Vec<(String, String)>,
-    groups: Vec<GroupResult>,
+    /// After all steps.
+    pub(super) groups: Vec<GroupResult>,
+    /// Over the steps; empty unless asked for.
+    pub(super) curve: Vec<Moment>,
     n_done: usize,
-    failed: Vec<FailedRun>,
-    unfinished: Vec<u64>,
+    pub(super) failed: Vec<FailedRun>,
+    pub(super) unfinished: Vec<u64>,
 }
 
 /// A run that failed.
 #[derive(Debug, Serialize)]
-struct FailedRun {
-    seed: u64,
-    status: String,
+pub(super) struct FailedRun {
+    pub(super) seed: u64,
+    pub(super) status: String,
     #[serde(serialize_with = "outside::as_text")]
-    log: PathBuf,
+    pub(super) log: PathBuf,
 }
 
 /// The results of a sweep.
 #[derive(Debug, Serialize)]
-pub(super) struct Table {
+pub(in crate::commands) struct Results {
     #[serde(serialize_with = "outside::as_text")]
     folder: PathBuf,
     seeds: Vec<u64>,
-    points: Vec<PointResult>,
+    pub(super) points: Vec<PointResult>,
+    /// The runs that are done, seed by seed.
+    done: Vec<Run>,
 }
 
 impl RunResult {
@@ -125,7 +131,8 @@ impl RunResult {
     }
 }
 
-fn scores(pass: &Pass) -> Vec<Score> {
+/// The success of an evaluation on every goal.
+pub(super) fn scores(pass: &Pass) -> Vec<Score> {
     let mut scores = Vec::new();
     for acting in [ActionMode::Greedy, ActionMode::Sampled] {
         for score in &pass.blueprints {
@@ -146,30 +153,24 @@ fn scores(pass: &Pass) -> Vec<Score> {
     scores
 }
 
-/// The aggregates of several runs, in the order of the groups in the first one.
-fn groups(runs: &[&[Score]]) -> Vec<GroupResult> {
-    let mut order: Vec<(&str, ActionMode)> = Vec::new();
-    let mut rates: BTreeMap<(usize, &str), Vec<f64>> = BTreeMap::new();
-    for score in runs.iter().copied().flatten() {
-        let group = (score.group.as_str(), score.acting);
-        let at = order.iter().position(|known| *known == group).unwrap_or(order.len());
-        if at == order.len() {
-            order.push(group);
-        }
-        rates.entry((at, &score.goal)).or_default().push(score.rate);
+/// The aggregates of several runs, first those of greedy actions, the groups in their order.
+pub(super) fn groups(runs: &[&[Score]]) -> Vec<GroupResult> {
+    let mut rates: BTreeMap<(ActionMode, usize, &str), BTreeMap<&str, Vec<f64>>> = BTreeMap::new();
+    for Score { group, goal, acting, rate } in runs.iter().copied().flatten() {
+        let place = Group::ALL.iter().position(|known| known.name() == group).unwrap_or(Group::ALL.len());
+        rates.entry((*acting, place, group)).or_default().entry(goal).or_default().push(*rate);
     }
-    let of_group = |(at, &(group, acting)): (usize, &(&str, ActionMode))| {
-        let scores: Vec<Vec<f64>> =
-            rates.iter().filter(|((i, _), _)| *i == at).map(|(_, rates)| rates.clone()).collect();
+    let of_group = |((acting, _, group), goals): ((_, _, &str), BTreeMap<&str, Vec<f64>>)| {
+        let scores: Vec<Vec<f64>> = goals.into_values().collect();
         let n_runs = scores.iter().map(Vec::len).max().unwrap_or(0);
         let (group, n_goals, aggregate) = (group.to_owned(), scores.len(), Aggregate::of(&scores));
         GroupResult { group, acting, n_runs, n_goals, aggregate }
     };
-    order.iter().enumerate().map(of_group).collect()
+    rates.into_iter().map(of_group).collect()
 }
 
-impl Table {
-    /// Collects the results of all runs.
+impl Results {
+    /// Collects the results of all runs, without curves.
     ///
     /// # Errors
     /// When a result cannot be read.
@@ -187,110 +188,57 @@ impl Table {
                     None => unfinished.push(run.seed),
                 }
             }
-            let (name, settings) = (planned.name(), planned.settings.clone());
-            PointResult { name, settings, groups: groups(&done), n_done: done.len(), failed, unfinished }
+            let (name, settings, n_done) = (planned.name(), planned.settings.clone(), done.len());
+            PointResult { name, settings, groups: groups(&done), curve: Vec::new(), n_done, failed, unfinished }
         };
         let points = plan.points.iter().enumerate().map(point).collect();
-        Ok(Self { folder: folder.to_owned(), seeds: plan.seeds.clone(), points })
+        let is_done =
+            |(result, run): (Option<RunResult>, Run)| matches!(result, Some(RunResult::Done { .. })).then_some(run);
+        let done = results.into_iter().filter_map(is_done).collect();
+        Ok(Self { folder: folder.to_owned(), seeds: plan.seeds.clone(), points, done })
+    }
+
+    /// Adds the curves of the runs that are done.
+    ///
+    /// # Errors
+    /// When the history of one cannot be read.
+    pub(super) fn with_curves(mut self) -> Result<Self, Failure> {
+        for (i, point) in self.points.iter_mut().enumerate() {
+            point.curve = curves::of(self.done.iter().filter(|run| run.point == i))?;
+        }
+        Ok(self)
+    }
+
+    /// Folder and name of the first `n` runs that are done.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub(in crate::commands) fn done(&self, n: usize) -> Result<(Vec<PathBuf>, Vec<String>), Failure> {
+        let named = |run: &Run| (run.folder.clone(), format!("{}, seed {}", self.points[run.point].name, run.seed));
+        if self.done.is_empty() {
+            let folder = self.folder.display();
+            return Err(Failure::NothingToShow(format!("no run of {folder} is done yet: wait for the first one")));
+        }
+        Ok(self.done.iter().take(n).map(named).unzip())
+    }
+
+    /// The same without the paths of this machine, for a page that others can see.
+    pub(in crate::commands) fn without_paths(mut self) -> Self {
+        for failed in self.points.iter_mut().flat_map(|point| &mut point.failed) {
+            failed.log = failed.log.strip_prefix(&self.folder).map(Path::to_owned).unwrap_or_default();
+        }
+        self.folder = name(&self.folder).into();
+        self
+    }
+
+    /// Whether anything was evaluated with this action mode.
+    pub(in crate::commands) fn has(&self, acting: ActionMode) -> bool {
+        self.points.iter().flat_map(|point| &point.groups).any(|group| group.acting == acting)
     }
 
     /// Number of runs that failed, and of those that have not ended.
     pub(super) fn n_missing(&self) -> (usize, usize) {
         let count = |n: fn(&PointResult) -> usize| self.points.iter().map(n).sum();
         (count(|point| point.failed.len()), count(|point| point.unfinished.len()))
-    }
-
-    /// Renders a Markdown table with rates in percent, and below it the runs that are missing in it.
-    pub(super) fn render(&self) -> String {
-        let mut text = "| point | group (goals) | actions | seeds | mean, % | IQM, % | 95 % of the IQM |\n\
-                        |---|---|---|---|---|---|---|\n"
-            .to_owned();
-        let mut missing = String::new();
-        for PointResult { name, groups, failed, unfinished, .. } in &self.points {
-            for GroupResult { group, acting, n_runs, n_goals, aggregate } in groups {
-                let [mean, iqm] = [aggregate.mean, aggregate.iqm].map(|rate| format!("{:.1}", 100.0 * rate));
-                let range = |[low, high]: [f64; 2]| format!("{:.1}–{:.1}", 100.0 * low, 100.0 * high);
-                let interval = aggregate.iqm_interval.map_or_else(|| "-".to_owned(), range);
-                line(
-                    &mut text,
-                    format_args!(
-                        "| {name} | {group} ({n_goals}) | {acting} | {n_runs} | {mean} | {iqm} | {interval} |"
-                    ),
-                );
-            }
-            if groups.is_empty() {
-                let state = if failed.is_empty() { "not finished" } else { "failed" };
-                line(&mut text, format_args!("| {name} | {state} | | 0 | | | |"));
-            }
-            for FailedRun { seed, status, log } in failed {
-                line(&mut missing, format_args!("failed: {name}, seed {seed} ({status}); see {}", log.display()));
-            }
-            if !unfinished.is_empty() {
-                line(&mut missing, format_args!("not finished: {name}, seeds {unfinished:?}"));
-            }
-        }
-        if missing.is_empty() { text } else { format!("{text}\n{missing}") }
-    }
-}
-
-fn line(text: &mut String, line: std::fmt::Arguments<'_>) {
-    writeln!(text, "{line}").expect("a string takes all");
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::plan::PlannedPoint;
-    use super::*;
-
-    fn score(goal: &str, rate: f64) -> Score {
-        Score { group: "train 2-6".to_owned(), goal: goal.to_owned(), acting: ActionMode::Sampled, rate }
-    }
-
-    #[test]
-    fn the_table_has_every_point_and_says_what_is_missing() {
-        let folder = tempfile::tempdir().unwrap();
-        let point = |gamma: &str| PlannedPoint {
-            settings: vec![("learner.gamma".to_owned(), gamma.to_owned())],
-            config: String::new(),
-        };
-        let plan = Plan {
-            lodestone_version: String::new(),
-            command: Vec::new(),
-            seeds: vec![1, 2],
-            points: ["0.9", "0.95", "0.99"].map(point).to_vec(),
-        };
-        let keep = |point: usize, seed: u64, result: RunResult| {
-            let runs = plan.runs(folder.path());
-            let run = runs.iter().find(|run| (run.point, run.seed) == (point, seed)).unwrap();
-            std::fs::create_dir_all(run.folder.parent().unwrap()).unwrap();
-            result.keep(run).unwrap();
-            assert_eq!(RunResult::read(run).unwrap(), Some(result));
-        };
-        let done = |rates: [f64; 2]| RunResult::Done {
-            n_env_steps: 9,
-            scores: vec![score("2_000", rates[0]), score("2_001", rates[1])],
-        };
-        keep(0, 1, done([0.5, 1.0]));
-        keep(0, 2, done([0.5, 1.0]));
-        keep(1, 1, done([0.25, 0.25]));
-        keep(2, 1, RunResult::Failed { status: "exit status: 64".to_owned() });
-        let table = Table::of(&plan, folder.path()).unwrap();
-        let log = folder.path().join("point-3/seed-1.log");
-        let expected = format!(
-            "| point | group (goals) | actions | seeds | mean, % | IQM, % | 95 % of the IQM |\n\
-             |---|---|---|---|---|---|---|\n\
-             | learner.gamma=0.9 | train 2-6 (2) | sampled | 2 | 75.0 | 75.0 | 75.0–75.0 |\n\
-             | learner.gamma=0.95 | train 2-6 (2) | sampled | 1 | 25.0 | 25.0 | - |\n\
-             | learner.gamma=0.99 | failed | | 0 | | | |\n\
-             \n\
-             not finished: learner.gamma=0.95, seeds [2]\n\
-             failed: learner.gamma=0.99, seed 1 (exit status: 64); see {}\n\
-             not finished: learner.gamma=0.99, seeds [2]\n",
-            log.display()
-        );
-        assert_eq!((table.render(), table.n_missing()), (expected, (1, 2)));
-        let json = serde_json::to_value(&table).unwrap();
-        assert_eq!(json["points"][0]["groups"][0]["iqm_interval"], serde_json::json!([0.75, 0.75]));
-        assert_eq!(json["points"][2]["failed"][0]["seed"], 1);
     }
 }
