@@ -3,7 +3,7 @@
     pip install matplotlib
     python python/examples/ppo.py --metrics ppo.jsonl
     lodestone train --steps 4e4 --run-dir runs/peer \\
-        --set 'actor.tasks.filter={sizes={min=2,max=2}}' --set actor.tasks.near_goal_probability=0
+        --set 'actor.tasks.filter={sizes={min=2,max=2}}'
     python lab/learning.py learning.png "one file=ppo.jsonl" lodestone=runs/peer/metrics.jsonl
 
 Files of one name, such as those of several seeds, look the same. Success is that of the last 200 episodes at least, so

@@ -16,24 +16,10 @@ settings! {
         pub segment_len: usize = 32, in 1..=1000;
         /// Tasks to roll out, and how their episodes begin.
         pub tasks: TaskConfig;
-        /// Warm start: first steps of an episode that are not learned from.
-        pub warm_start: WarmStartConfig;
         /// Maximum number of segments kept while the learner does not accept them.
         pub backlog_limit: usize = 512, in 1..=100_000;
         /// What happens when the backlog is full.
         pub full_backlog: FullBacklog = FullBacklog::DropOldest;
-    }
-
-    /// Warm start: in the first steps of some episodes, the policy acts greedily and nothing is learned (an extension).
-    ///
-    /// Noise carries a sampled policy out of states in which the greedy policy would stay forever, so it rarely visits
-    /// them. Episodes that continue from such states teach the greedy policy to leave them.
-    #[derive(Copy)]
-    pub struct WarmStartConfig {
-        /// Share of the episodes that begin with a warm start.
-        pub probability: f64 = 0.0, in 0.0..=1.0;
-        /// Maximum length of a warm start in steps; the length is uniform from 1.
-        pub max_steps: u16 = 60, in 1..=1000;
     }
 }
 

@@ -19,7 +19,7 @@ pub mod task;
 mod toy;
 
 pub use backlog::Backlog;
-pub use config::{ActorConfig, FullBacklog, WarmStartConfig};
+pub use config::{ActorConfig, FullBacklog};
 pub use environment::EnvironmentConfig;
 pub use lockstep::Lockstep;
 pub use policy::PolicyConfig;

@@ -9,11 +9,9 @@ use policy::{Policy, PolicyConfig, PolicyError};
 use proto::{
     ActionMode, BehaviorPolicy, CanonicalSettings, Status, Task, Trajectory, Transition, Valid, Weights, WeightsVersion,
 };
-use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::config::WarmStartConfig;
 use crate::segment::{Cut, Identity, SegmentBuilder};
 use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskConfig, TaskSampler};
@@ -31,8 +29,6 @@ pub struct RolloutSetup {
     pub tasks: TaskConfig,
     /// Steps after which a segment is cut, at least 1.
     pub segment_len: usize,
-    /// First steps of an episode, which are not learned from.
-    pub warm_start: WarmStartConfig,
     /// Origin of the segments.
     pub identity: Identity,
     /// Seed of tasks and actions.
@@ -59,7 +55,6 @@ impl RolloutSetup {
             settings: setup.settings(),
             tasks: config.tasks.clone(),
             segment_len: config.segment_len,
-            warm_start: config.warm_start,
             identity,
             seed: *seed,
         }
@@ -94,8 +89,6 @@ pub struct RolloutCounters {
     pub n_diverged_episodes: u64,
     /// Dropped steps of those episodes.
     pub n_diverged_steps: u64,
-    /// Steps of warm starts, including the last steps of episodes that end in one.
-    pub n_warm_start_steps: u64,
     /// Tasks that a world could not start and that were replaced.
     pub n_failed_resets: u64,
 }
@@ -119,15 +112,6 @@ pub enum RolloutError {
 struct EnvSlot {
     task_rng: ChaCha8Rng,
     segment: SegmentBuilder,
-    /// Remaining warm start steps, in which the policy acts greedily and which are not learned from.
-    n_warm_start: u16,
-}
-
-impl EnvSlot {
-    /// Returns how the policy acts in the next step.
-    fn mode(&self) -> ActionMode {
-        if self.n_warm_start == 0 { ActionMode::Sampled } else { ActionMode::Greedy }
-    }
 }
 
 impl<E: Env> Rollout<E> {
@@ -139,7 +123,7 @@ impl<E: Env> Rollout<E> {
         setup.check(weights)?;
         let policy = Policy::with_weights(&setup.policy, weights)?;
         let mut tasks = TaskSampler::new(&setup.tasks, &setup.catalog)?;
-        tasks.follow(weights);
+        tasks.follow(&weights.task_probabilities);
         let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
         let counters = RolloutCounters::default();
         let mut rollout = Self { setup, policy, version, tasks, envs, slots: Vec::new(), counters };
@@ -154,7 +138,7 @@ impl<E: Env> Rollout<E> {
     pub fn set_weights(&mut self, weights: &Weights) -> Result<(), RolloutError> {
         self.setup.check(weights)?;
         self.policy.load(weights)?;
-        self.tasks.follow(weights);
+        self.tasks.follow(&weights.task_probabilities);
         self.version = weights.version;
         Ok(())
     }
@@ -188,8 +172,7 @@ impl<E: Env> Rollout<E> {
         };
         let task = self.envs.reset(row, task, &setup.catalog, retry)?;
         let segment = SegmentBuilder::new(setup.segment_len, task, BehaviorPolicy::Sampled);
-        let n_warm_start = draw_warm_start(&setup.warm_start, &mut task_rng);
-        Ok(EnvSlot { task_rng, segment, n_warm_start })
+        Ok(EnvSlot { task_rng, segment })
     }
 
     /// Advances every world by one step and returns the segments that this finished, in the order of the
@@ -199,35 +182,21 @@ impl<E: Env> Rollout<E> {
     /// If no new task can be started, or with [`PolicyError::NoDistribution`] before any world has moved. In the latter
     /// case, the rollout can continue with other weights.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
-        let modes: Vec<ActionMode> = self.slots.iter().map(EnvSlot::mode).collect();
+        let modes = vec![ActionMode::Sampled; self.slots.len()];
         let steps = self.envs.step(&mut self.policy, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
         let mut ended: Vec<usize> = Vec::new();
         for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
             let slot = &mut self.slots[row];
-            let mut behavior_log_prob = decision.log_prob;
             self.counters.n_env_steps += 1;
             if result.status != Status::Running {
                 ended.push(row);
-            }
-            if slot.n_warm_start > 0 {
-                slot.n_warm_start -= 1;
-                self.counters.n_warm_start_steps += 1;
-                if result.status == Status::Diverged {
-                    self.counters.n_diverged_episodes += 1;
-                }
-                if matches!(result.status, Status::Running | Status::Diverged) {
-                    slot.segment.skip(&result.reward);
-                    continue;
-                }
-                slot.segment.end_in_warm_start();
-                behavior_log_prob = 0.0;
             }
             let transition = Transition {
                 scene,
                 action: decision.action,
                 proposals: decision.proposals,
-                behavior_log_prob,
+                behavior_log_prob: decision.log_prob,
                 reward: result.reward,
                 disturbance: None,
             };
@@ -277,17 +246,7 @@ impl std::ops::AddAssign for RolloutCounters {
         self.n_successes += other.n_successes;
         self.n_diverged_episodes += other.n_diverged_episodes;
         self.n_diverged_steps += other.n_diverged_steps;
-        self.n_warm_start_steps += other.n_warm_start_steps;
         self.n_failed_resets += other.n_failed_resets;
-    }
-}
-
-/// Returns the length of an episode's warm start. Draws nothing if there are no warm starts.
-fn draw_warm_start(config: &WarmStartConfig, rng: &mut ChaCha8Rng) -> u16 {
-    if config.probability > 0.0 && rng.random_bool(config.probability) {
-        rng.random_range(1..=config.max_steps)
-    } else {
-        0
     }
 }
 

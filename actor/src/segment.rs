@@ -1,7 +1,7 @@
 //! Cuts episodes into segments to learn from.
 
 use proto::{
-    ActorId, BehaviorPolicy, Outcome, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
+    ActorId, BehaviorPolicy, EpisodeStats, RewardTerms, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
 };
 
 /// Origin of segments.
@@ -29,8 +29,6 @@ pub struct SegmentBuilder {
     oldest_version: Option<WeightsVersion>,
     /// Index of the first collected step in its episode.
     first_step: u16,
-    /// Warm start steps that no segment has reported yet.
-    n_warm_start_steps: u16,
     /// Return of the whole episode so far.
     episode_return: RewardTerms,
 }
@@ -60,7 +58,6 @@ impl SegmentBuilder {
             transitions: Vec::with_capacity(segment_len),
             oldest_version: None,
             first_step: 0,
-            n_warm_start_steps: 0,
             episode_return: RewardTerms::default(),
         }
     }
@@ -68,19 +65,6 @@ impl SegmentBuilder {
     /// Returns the goal and start of the episode.
     pub fn task(&self) -> &Task {
         &self.task
-    }
-
-    /// Counts a warm start step at the start of the episode, which is not learned from.
-    pub fn skip(&mut self, reward: &RewardTerms) {
-        self.episode_return = self.episode_return + *reward;
-        self.first_step = self.first_step.saturating_add(1);
-        self.n_warm_start_steps = self.n_warm_start_steps.saturating_add(1);
-    }
-
-    /// Ends the episode in its warm start. The last step becomes a segment of the greedy policy, so that its outcome
-    /// counts although nothing is learned from it.
-    pub fn end_in_warm_start(&mut self) {
-        self.behavior_policy = BehaviorPolicy::Greedy;
     }
 
     /// Adds a step that led to `after` with `status`, acted with weights `version`.
@@ -110,7 +94,7 @@ impl SegmentBuilder {
         let first_step = self.first_step;
         let n_steps = first_step.saturating_add(u16::try_from(n_collected).unwrap_or(u16::MAX));
         let ended = status != Status::Running;
-        let outcome = Outcome { success: status == Status::Success, n_steps, episode_return: self.episode_return };
+        let stats = EpisodeStats { success: status == Status::Success, n_steps, episode_return: self.episode_return };
         let transitions = std::mem::replace(&mut self.transitions, Vec::with_capacity(self.segment_len));
         self.oldest_version = None;
         self.first_step = n_steps;
@@ -123,11 +107,10 @@ impl SegmentBuilder {
             task: self.task.clone(),
             behavior_policy: self.behavior_policy,
             first_step,
-            n_warm_start_steps: std::mem::take(&mut self.n_warm_start_steps),
             transitions,
             last_scene: after.clone(),
             status,
-            outcome: ended.then_some(outcome),
+            episode_stats: ended.then_some(stats),
         }))
     }
 }
@@ -171,15 +154,15 @@ mod tests {
             cuts(&[(1.0, 5, Running), (2.0, 4, Running), (3.0, 6, Running), (4.0, 7, Success), (8.0, 8, Success)]);
         let [Cut::Segment(first), Cut::Segment(second), Cut::Segment(third)] = &cuts[..] else { panic!("{cuts:?}") };
         assert_eq!((first.first_step, first.transitions.len(), first.status), (0, 3, Running));
-        assert_eq!((first.outcome, first.weights_version), (None, WeightsVersion(4)));
+        assert_eq!((first.episode_stats, first.weights_version), (None, WeightsVersion(4)));
         assert_eq!((second.first_step, second.transitions.len(), second.status), (3, 1, Success));
         assert_eq!(second.weights_version, WeightsVersion(7));
         // The return of the whole episode: 1 + 2 + 3 + 4.
-        let outcome = second.outcome.unwrap();
-        assert_eq!((outcome.success, outcome.n_steps, outcome.episode_return.connected), (true, 4, 10.0));
+        let stats = second.episode_stats.unwrap();
+        assert_eq!((stats.success, stats.n_steps, stats.episode_return.connected), (true, 4, 10.0));
         // Nothing of one episode carries over to the next.
-        let outcome = third.outcome.unwrap();
-        assert_eq!((third.first_step, outcome.n_steps, outcome.episode_return.connected), (0, 1, 8.0));
+        let stats = third.episode_stats.unwrap();
+        assert_eq!((third.first_step, stats.n_steps, stats.episode_return.connected), (0, 1, 8.0));
     }
 
     #[test]

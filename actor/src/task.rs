@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::sample_assignment;
-use proto::{Start, Task, Weights, settings};
+use proto::{Start, Task, settings};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -12,20 +12,12 @@ use serde::{Deserialize, Serialize};
 settings! {
     /// Which training blueprints are goals, and how their episodes begin.
     ///
-    /// All episodes without a prebuilt or near-goal start begin scattered.
+    /// All episodes without a prebuilt start begin scattered.
     pub struct TaskConfig {
         /// The goals.
         pub filter: TaskFilter = TaskFilter::All;
         /// Probability that another training blueprint is built at the start (paper, "Initial State").
         pub prebuilt_probability: f64 = 0.2, in 0.0..=1.0;
-        /// Probability that the goal is built except for some blocks (an extension, not the paper's).
-        pub near_goal_probability: f64 = 0.0, in 0.0..=1.0,
-            where |c| c.prebuilt_probability + c.near_goal_probability <= 1.0 => "at most 1 with prebuilt_probability";
-        /// Minimum and maximum number of blocks removed in a near-goal start, limited to the goal's size less one. With
-        /// a reverse curriculum, the learner decides instead: half of these starts remove as many blocks as it allows
-        /// (a scattered start if that is all of them), and the others a uniform number from 1 to that.
-        pub near_goal_undone: [u8; 2] = [1, 2],
-            in 1..=15, where |c| c.near_goal_undone.is_sorted() => "two ascending numbers";
     }
 }
 
@@ -70,12 +62,10 @@ pub enum FilterError {
 #[derive(Clone, Debug)]
 pub struct TaskSampler {
     config: TaskConfig,
-    /// Goals in catalog order with their number of blocks and their probability. Probabilities need not sum to 1.
-    goals: Vec<(BlueprintId, usize, f64)>,
+    /// Goals in catalog order with their probability. Probabilities need not sum to 1.
+    goals: Vec<(BlueprintId, f64)>,
     /// Blueprints that may be built at the start: the whole training split, regardless of the filter.
     prebuilt: Vec<BlueprintId>,
-    /// Maximum number of removed blocks by number of blocks; empty without a reverse curriculum.
-    reach: BTreeMap<u8, u8>,
 }
 
 impl TaskFilter {
@@ -119,10 +109,9 @@ impl TaskSampler {
     /// If the filter selects nothing or an unknown blueprint.
     pub fn new(config: &TaskConfig, catalog: &Catalog) -> Result<Self, FilterError> {
         let ids = config.filter.select(catalog)?;
-        let goals =
-            ids.into_iter().filter_map(|id| catalog.find(&id).map(|blueprint| (id.clone(), blueprint.n_blocks(), 1.0)));
+        let goals = ids.into_iter().map(|id| (id, 1.0));
         let prebuilt = catalog.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
-        Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt, reach: BTreeMap::new() })
+        Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
     }
 
     /// Returns the goals, in order.
@@ -130,46 +119,39 @@ impl TaskSampler {
         self.goals.iter().map(|(id, ..)| id)
     }
 
-    /// Adopts the learner's curriculum: its probabilities, restricted to the goals and uniform if none remain, and how
-    /// far from the goal episodes begin.
-    pub fn follow(&mut self, weights: &Weights) {
-        self.reach.clone_from(&weights.reverse_reach);
-        self.set_probabilities(&weights.task_probabilities);
-    }
-
-    fn set_probabilities(&mut self, probabilities: &BTreeMap<BlueprintId, f32>) {
-        for (id, _, probability) in &mut self.goals {
+    /// Adopts the learner's curriculum: its probabilities, restricted to the goals and uniform if none remain.
+    pub fn follow(&mut self, probabilities: &BTreeMap<BlueprintId, f32>) {
+        for (id, probability) in &mut self.goals {
             *probability = probabilities.get(id).map_or(0.0, |&p| f64::from(p)).max(0.0);
         }
-        let total: f64 = self.goals.iter().map(|(.., probability)| probability).sum();
+        let total: f64 = self.goals.iter().map(|(_, probability)| probability).sum();
         if !(total.is_finite() && total > 0.0) {
-            self.goals.iter_mut().for_each(|(.., probability)| *probability = 1.0);
+            self.goals.iter_mut().for_each(|(_, probability)| *probability = 1.0);
         }
     }
 
     /// Draws the next task.
     pub fn sample(&self, rng: &mut ChaCha8Rng) -> Task {
-        let (blueprint, n_blocks) = self.draw_goal(rng);
+        let blueprint = self.draw_goal(rng);
         // Equal blocks are shuffled in every episode, because the policy sees slot numbers.
         let assignment = sample_assignment(rng);
-        let start = self.draw_start(blueprint, n_blocks, rng);
+        let start = self.draw_start(blueprint, rng);
         Task { blueprint: blueprint.clone(), assignment, start, seed: rng.random() }
     }
 
-    fn draw_goal(&self, rng: &mut ChaCha8Rng) -> (&BlueprintId, usize) {
-        let total: f64 = self.goals.iter().map(|(.., probability)| probability).sum();
+    fn draw_goal(&self, rng: &mut ChaCha8Rng) -> &BlueprintId {
+        let total: f64 = self.goals.iter().map(|(_, probability)| probability).sum();
         let mut rest = rng.random::<f64>() * total;
-        let drawn = self.goals.iter().find(|(.., probability)| {
+        let drawn = self.goals.iter().find(|(_, probability)| {
             rest -= probability;
             rest < 0.0
         });
         // Rounding may leave a remainder of about 0 after the last goal with a positive probability.
-        let last = self.goals.iter().rev().find(|(.., probability)| *probability > 0.0);
-        let (id, n_blocks, _) = drawn.or(last).expect("a sampler has at least one goal with a positive probability");
-        (id, *n_blocks)
+        let last = self.goals.iter().rev().find(|(_, probability)| *probability > 0.0);
+        &drawn.or(last).expect("a sampler has at least one goal with a positive probability").0
     }
 
-    fn draw_start(&self, goal: &BlueprintId, n_blocks: usize, rng: &mut ChaCha8Rng) -> Start {
+    fn draw_start(&self, goal: &BlueprintId, rng: &mut ChaCha8Rng) -> Start {
         let u: f64 = rng.random();
         if u < self.config.prebuilt_probability {
             let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| *id != goal).collect();
@@ -177,16 +159,6 @@ impl TaskSampler {
                 return Start::Scattered;
             }
             return Start::Prebuilt(others[rng.random_range(0..others.len())].clone());
-        }
-        if u < self.config.prebuilt_probability + self.config.near_goal_probability {
-            let size = u8::try_from(n_blocks).unwrap_or(u8::MAX);
-            if let Some(&reach) = self.reach.get(&size) {
-                let undone = if rng.random() { reach } else { rng.random_range(1..=reach) };
-                return if undone < size { Start::NearGoal { undone } } else { Start::Scattered };
-            }
-            let most = u8::try_from(n_blocks.saturating_sub(1)).unwrap_or(u8::MAX).max(1);
-            let [low, high] = self.config.near_goal_undone.map(|undone| undone.min(most));
-            return Start::NearGoal { undone: rng.random_range(low..=high) };
         }
         Start::Scattered
     }

@@ -93,11 +93,10 @@ pub(crate) fn trajectory() -> Trajectory {
         task: task(),
         behavior_policy: BehaviorPolicy::Sampled,
         first_step: 0,
-        n_warm_start_steps: 0,
         transitions: vec![transition],
         last_scene: scene(),
         status: Status::Running,
-        outcome: None,
+        episode_stats: None,
     }
 }
 
@@ -125,6 +124,5 @@ pub(crate) fn weights(version: u64, value: f32) -> Weights {
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_mean: value, value_std: 1e-3, ..Normalization::default() },
         task_probabilities: [(id("2_000"), 1.0)].into(),
-        reverse_reach: Default::default(),
     }
 }

@@ -19,7 +19,7 @@ import tomllib
 
 SCHEMA_VERSION = 2
 # Not logged. The values per blueprint would make hundreds of curves.
-LEFT_OUT = {"schema_version", "weights_version", "n_env_steps", "task_probabilities", "reverse_reach"}
+LEFT_OUT = {"schema_version", "weights_version", "n_env_steps", "task_probabilities"}
 
 
 def flat(tree, prefix=""):

@@ -392,11 +392,11 @@ mod tests {
     fn a_run_that_goes_on_keeps_the_name_of_its_preset() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run");
-        let preset = Preset::find("near-goal").unwrap();
+        let preset = Preset::find("smoke").unwrap();
         drop(RunDir::create(Some(&path), &Config::default(), Some(preset), &Origin::default()).unwrap());
         let resumed = Origin { config: Some(path.clone()), checkpoint: None };
-        assert_eq!(start(&path, &resumed).unwrap().preset(), Some("near-goal"));
-        assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("near-goal"));
+        assert_eq!(start(&path, &resumed).unwrap().preset(), Some("smoke"));
+        assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("smoke"));
         fs::write(RunPaths::new(&path).meta(), "{}").unwrap();
         assert_eq!(preset_of(&RunPaths::new(&path)), None);
     }

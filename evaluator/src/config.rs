@@ -122,8 +122,6 @@ pub enum Starts {
     /// Every fifth episode is prebuilt, the others are scattered: the mixture that the paper trains on ("Initial
     /// State").
     Mixed,
-    /// The goal is built except for one block; for goals that start this way in training.
-    NearGoal,
 }
 
 /// Why a setting cannot be used.

@@ -1,7 +1,9 @@
 //! Records an episode step by step, for display.
 
 use environment::{Step, StepResult};
-use proto::{ActorId, BehaviorPolicy, Decision, Outcome, Scene, Status, Task, Trajectory, Transition, WeightsVersion};
+use proto::{
+    ActorId, BehaviorPolicy, Decision, EpisodeStats, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
+};
 
 use crate::report::{End, EpisodeResult};
 
@@ -36,7 +38,7 @@ impl Recording {
             // Trajectories have no status for a diverged episode, so the recording ends as if cut off.
             End::Diverged => Status::Running,
         };
-        let outcome = Outcome {
+        let stats = EpisodeStats {
             success: status == Status::Success,
             n_steps: u16::try_from(result.n_steps).ok()?,
             episode_return: result.episode_return,
@@ -50,11 +52,10 @@ impl Recording {
             task: task.clone(),
             behavior_policy,
             first_step: 0,
-            n_warm_start_steps: 0,
             transitions: self.transitions,
             last_scene: last.clone(),
             status,
-            outcome: (status != Status::Running).then_some(outcome),
+            episode_stats: (status != Status::Running).then_some(stats),
         })
     }
 }

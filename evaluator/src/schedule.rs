@@ -74,7 +74,6 @@ mod tests {
             parameters: Vec::new(),
             normalization: Default::default(),
             task_probabilities: Default::default(),
-            reverse_reach: Default::default(),
         }
     }
 

@@ -50,10 +50,6 @@ impl EpisodeSpec {
             Starts::Scattered => false,
             Starts::Prebuilt => true,
             Starts::Mixed => idx % 5 == 4,
-            Starts::NearGoal => {
-                spec.task.start = Start::NearGoal { undone: 1 };
-                false
-            }
         };
         let mut others = catalog.of_split(Split::Train).to_vec();
         others.retain(|other| other.id() != blueprint.id());

@@ -103,7 +103,6 @@ fn rollout(policy: &Valid<PolicyConfig>, environment: &Valid<EnvironmentConfig>,
         settings: Default::default(),
         tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
         segment_len: 32,
-        warm_start: actor::WarmStartConfig::default(),
         identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0, settings_hash: 0 },
         seed: 0,
     };
@@ -120,7 +119,6 @@ fn untrained(policy: &PolicyConfig) -> Weights {
         parameters: engine(policy).parameters(),
         normalization: Normalization::default(),
         task_probabilities: BTreeMap::new(),
-        reverse_reach: BTreeMap::new(),
     }
 }
 

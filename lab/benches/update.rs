@@ -76,11 +76,10 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
         task: Task { blueprint: id.clone(), assignment, start: Start::Scattered, seed: 0 },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 0,
-        n_warm_start_steps: 0,
         transitions,
         last_scene: scene(rng),
         status: Status::Running,
-        outcome: None,
+        episode_stats: None,
     }
 }
 

@@ -15,7 +15,7 @@ from typing import Any
 from ..ring.checks import Failed, require, until
 from ..ring.processes import ENDLESS, ROOT, free_port, plain_environment, run
 
-PRESET = "near-goal"
+PRESET = "smoke"
 
 # While containers start and stop, requests are refused, and that is no failure yet.
 wait = partial(until, forgive=(Exception,))

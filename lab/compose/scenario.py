@@ -110,7 +110,7 @@ class Scenario:
         """Returns the rate of the newest complete evaluation, using the client in deploy/examples, and says it."""
         client = [sys.executable, str(ROOT / "deploy/examples/success.py"), self.endpoint, "--once"]
         told = run([*client, "--run", PRESET, "--keys", str(self.keys)], seconds=seconds)
-        success = json.loads(told)["all"]["greedy"]["success"]
+        success = json.loads(told)["all"]["sampled"]["success"]
         return success["rate"], f"{success['n_successes']} of {success['n_episodes']} episodes"
 
     def scales(self) -> str:

@@ -19,7 +19,7 @@ from .operators import UNFINISHED
 from .rules import PROBES
 
 # The smallest task that needs the whole ring.
-RUN = {"LODESTONE_PRESET": "near-goal", "LODESTONE_RUN": "near-goal"}
+RUN = {"LODESTONE_PRESET": "smoke", "LODESTONE_RUN": "smoke"}
 DEADLINE_S = 180.0
 MOUNTED = re.compile(r"(?<![\w./])/(keys|tmp|runs)(?=/|$)")
 TOKEN = "LODESTONE_DASHBOARD__WEB__TOKEN"

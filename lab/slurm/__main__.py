@@ -79,7 +79,7 @@ def isolated(part: str, binary: Path, only: str) -> int:
     scratch = SCRATCH / "lodestone-slurm-test"
     cluster = Cluster(scratch / "cluster")
     # A name with spaces and a quote, which the scripts must handle.
-    training = Training(cluster, binary, scratch / "the user's runs" / "near-goal")
+    training = Training(cluster, binary, scratch / "the user's runs" / "smoke")
     # Each check relies on the state that the one before it left, so none is tried after a failure.
     tally = Tally(partial(show_logs, scratch), enough=1)
     try:

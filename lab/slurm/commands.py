@@ -26,7 +26,7 @@ def a_rehearsal_changes_nothing(training: Training) -> None:
 def whole_nodes_take_one_actor_each(training: Training) -> None:
     """With `--actor-cpus node`, an actor has all cores of its node, and steps worlds with as many threads."""
     run = training.other("whole-nodes")
-    task = ["--preset", "near-goal", "--actors", "1", "--actor-cpus", "node", "--learner-cpus", "2", "--no-evaluator"]
+    task = ["--preset", "smoke", "--actors", "1", "--actor-cpus", "node", "--learner-cpus", "2", "--no-evaluator"]
     run.launch(*task, *PARTITIONS)
     run.wait("the actor works", 60, lambda: len(run.actors_that_work()) == 1)
     [words] = run.processes("actor").values()
@@ -84,7 +84,7 @@ def mistakes_are_explained(training: Training) -> None:
         ([*launch, "--run", "My Run"], 2, "valid are 1 to 64 characters"),
         ([*launch, "--preset", "quick"], 64, "nothing was submitted"),
         (["launch", "--binary", "/nowhere"], 64, "no program at /nowhere"),
-        ([*launch, "--preset", "near-goal", "--partition", "nowhere"], 1, "invalid partition"),
+        ([*launch, "--preset", "smoke", "--partition", "nowhere"], 1, "invalid partition"),
         (["status"], 1, "holds no run"),
         (["stop"], 1, "holds no run"),
         (["begin"], 2, "none of launch, status, stop"),
@@ -96,7 +96,7 @@ def mistakes_are_explained(training: Training) -> None:
 def a_learner_that_cannot_work_frees_the_actors(training: Training) -> None:
     """A learner job that cannot recover fails at once, prints the reason, and cancels the actors."""
     run = training.other("unreachable")
-    run.launch("--preset", "near-goal", "--actors", "2", "--learner-cpus", "2", "--interface", "nowhere0", *PARTITIONS)
+    run.launch("--preset", "smoke", "--actors", "2", "--learner-cpus", "2", "--interface", "nowhere0", *PARTITIONS)
     job, actors = run.learner_job(), run.actor_job()
     until("the learner's job has failed", 40, lambda: queue.state(job) == "FAILED")
     assert "nowhere0 has no IPv4 address" in run.learner_log(), run.learner_log()
@@ -106,7 +106,7 @@ def a_learner_that_cannot_work_frees_the_actors(training: Training) -> None:
 def a_hetjob_trains(run: Training) -> None:
     """Learner and actors start together, only the learner gets the GPU, and all end when the steps are reached."""
     queue.cancel_all()
-    task = ["--preset", "near-goal", "--steps", "4096", "--actors", "2", "--hetjob", "--no-evaluator"]
+    task = ["--preset", "smoke", "--steps", "4096", "--actors", "2", "--hetjob", "--no-evaluator"]
     place = ["--learner-cpus", "2", "--interface", "eth0", "--learner-sbatch=--gres=gpu:1", "--partition", conf.LEARNERS]
     printed = run.launch(*task, *place)
     assert printed.count("+ sbatch") == 1, printed

@@ -17,9 +17,6 @@ COMMAND = ROOT / "deploy" / "slurm" / "lodestone-slurm"
 
 N_ACTORS = 3
 
-FEW_EPISODES = 30
-"""Fewer than this say little about success."""
-
 SETTINGS = {
     # How often actors look for the endpoint, 10 s by default.
     "LODESTONE_SLURM_POLL_S": "1",
@@ -64,7 +61,7 @@ class Training:
 
     def options(self, n_steps: int = ENDLESS) -> list[str]:
         """Returns the launch options, without time limits."""
-        learning = ["--preset", "near-goal", "--steps", str(n_steps), "--seed", "1"]
+        learning = ["--preset", "smoke", "--steps", str(n_steps), "--seed", "1"]
         return [*learning, "--actors", str(N_ACTORS), "--learner-cpus", "2", *PARTITIONS]
 
     def stop(self) -> str:
@@ -109,22 +106,13 @@ class Training:
     def success(self, n_passes: int) -> float:
         """Returns the lowest success rate in the evaluator's last passes, or 0 if there are too few passes."""
         passes = records.entries(self.run_dir, "eval/summary")
-        rates = [float(found["all"]["greedy"]["success"]["rate"]) for found in passes]
+        rates = [float(found["all"]["sampled"]["success"]["rate"]) for found in passes]
         return min(rates[-n_passes:]) if len(rates) >= n_passes else 0.0
-
-    def sampled_success(self) -> float:
-        """Returns the success rate of the training episodes that ended in the newest update, or 0 if there are too few.
-
-        Training episodes use sampled actions.
-        """
-        updates = self.updates()
-        success = updates[-1]["episodes"]["success"] if updates else {"n_episodes": 0}
-        return float(success["rate"]) if success["n_episodes"] >= FEW_EPISODES else 0.0
 
     def evaluated(self) -> float:
         """Returns the success rate of the run's policy according to `lodestone eval`."""
         report = json.loads(run([self.binary, "eval", "--checkpoint", self.run_dir, "--json"], seconds=900))
-        return float(report["summary"]["all"]["greedy"]["success"]["rate"])
+        return float(report["summary"]["all"]["sampled"]["success"]["rate"])
 
     def processes(self, role: str) -> dict[Path, list[str]]:
         """Returns the folders in /proc and the words of the processes of this role, on whatever node."""

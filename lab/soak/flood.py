@@ -2,7 +2,7 @@
 
 Usage: python3 -m lab.soak.flood --binary target/debug/lodestone [--seconds 20] [--only FLOOD]
 
-A router with keys, a learner, and an actor train `near-goal` on loopback. One processor is the flooder's. The speed
+A router with keys, a learner, and an actor train `smoke` on loopback. One processor is the flooder's. The speed
 under a flood is compared with the speed beside a busy loop on that processor, and the speed from 5 s after the flood
 with the speed when nothing disturbs the ring. docs/soak.md has the figures.
 """
@@ -27,7 +27,7 @@ from ..ring import bus, records
 from ..ring.checks import require_none, until
 from ..ring.processes import ENDLESS, Process, demand, free_port, run
 
-RUN = "near-goal"
+RUN = "smoke"
 READY_S = 120.0
 # After the end of a flood, the time until the ring must have its speed back.
 BACK_S = 5.0

@@ -31,7 +31,7 @@ class Training:
 
     def __init__(self, binary: Path, folder: Path, name: str, seed: int) -> None:
         self.folder = folder / name
-        task = ["train", "--preset", "near-goal", "--lockstep", "--seed", str(seed), "--steps", str(STEPS)]
+        task = ["train", "--preset", "smoke", "--lockstep", "--seed", str(seed), "--steps", str(STEPS)]
         command = [str(binary), *task, *settings(SETTINGS), "--run-dir", str(self.folder), "--auto-resume"]
         self.member = Member(name, "train", command, folder / "logs")
 

@@ -30,7 +30,6 @@ SETTINGS: dict[str, object] = {
     "actor.segment_len": SEGMENT_LEN,
     "actor.backlog_limit": BACKLOG,
     "actor.full_backlog": "drop-oldest",
-    "actor.warm_start.probability": 0.0,
     "evaluator.every.versions": 10,
     "evaluator.episodes.n_episodes": 2,
     "evaluator.videos.groups": [],
@@ -139,7 +138,7 @@ class Ring:
         if role != "router":
             relay = Relay(self._port)
             await relay.listen()
-            command += ["--connect", f"tcp/127.0.0.1:{relay.port}", "--preset", "near-goal", "--run", RUN]
+            command += ["--connect", f"tcp/127.0.0.1:{relay.port}", "--preset", "smoke", "--run", RUN]
             command += ["--seed", str(self._seed), *settings(SETTINGS)]
         member = Member(name, role, command, self._logs, relay)
         self.members.append(member)

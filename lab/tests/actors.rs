@@ -19,7 +19,7 @@ fn actors() -> Command {
 
 /// Runs 20 actors of the smallest preset for two seconds.
 fn measure(args: &[&str]) -> Value {
-    let common = ["--preset", "near-goal", "--actors", "20", "--for", "2", "--json"];
+    let common = ["--preset", "smoke", "--actors", "20", "--for", "2", "--json"];
     let output = actors().args(common).args(args).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
@@ -62,7 +62,7 @@ fn contradicting_arguments_are_refused() {
 #[test]
 fn no_process_outlives_the_one_that_measures() {
     let mut command = actors();
-    command.args(["--preset", "near-goal", "--actors", "2", "--for", "600"]).stderr(Stdio::piped());
+    command.args(["--preset", "smoke", "--actors", "2", "--for", "600"]).stderr(Stdio::piped());
     let mut measuring = command.spawn().unwrap();
     let mut log = BufReader::new(measuring.stderr.take().unwrap());
     let mut line = String::new();

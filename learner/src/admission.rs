@@ -1,7 +1,7 @@
 //! Admission rules for trajectories: the run's settings, a goal and a start that its actors draw, and plausible values.
 //! Every check is cheap.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use blueprints::{BlueprintId, Catalog, Split};
 use policy::proposals::{N_SLOTS, Slot};
@@ -37,18 +37,14 @@ const MAX_GRIPPER_RADPS: f32 = 53.7;
 pub struct ActingLimits {
     /// Longest episode in steps.
     pub episode_steps: u16,
-    /// Longest warm start in steps, 0 without warm starts. Its steps count for the run's schedules and for its end.
-    pub warm_start_steps: u16,
     /// Whether episodes begin with another blueprint built.
     pub has_prebuilt_starts: bool,
-    /// Whether episodes begin near the goal.
-    pub has_near_goal_starts: bool,
 }
 
 impl Default for ActingLimits {
     /// Returns the limits of all settings.
     fn default() -> Self {
-        Self { episode_steps: 1000, warm_start_steps: 1000, has_prebuilt_starts: true, has_near_goal_starts: true }
+        Self { episode_steps: 1000, has_prebuilt_starts: true }
     }
 }
 
@@ -59,8 +55,8 @@ pub struct Admission {
     acting: ActingLimits,
     n_grippers: usize,
     move_head: MoveHead,
-    /// Blueprints allowed as goals and start states, with their numbers of blocks.
-    training: BTreeMap<BlueprintId, usize>,
+    /// Blueprints allowed as goals and start states.
+    training: BTreeSet<BlueprintId>,
 }
 
 impl Admission {
@@ -72,9 +68,8 @@ impl Admission {
         settings: &CanonicalSettings,
         acting: ActingLimits,
     ) -> Self {
-        let split =
-            catalog.of_split(Split::Train).into_iter().map(|blueprint| (blueprint.id().clone(), blueprint.n_blocks()));
-        let tasks = tasks.iter().filter_map(|id| Some((id.clone(), catalog.find(id)?.n_blocks())));
+        let split = catalog.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
+        let tasks = tasks.iter().filter(|id| catalog.find(id).is_some()).cloned();
         Self {
             settings_hash: settings.hash(),
             acting,
@@ -100,14 +95,17 @@ impl Admission {
         if trajectory.transitions.is_empty() {
             return Err("a trajectory has at least one step".to_owned());
         }
-        if trajectory.outcome.as_ref().is_some_and(|outcome| outcome.success != (trajectory.status == Status::Success))
+        if trajectory
+            .episode_stats
+            .as_ref()
+            .is_some_and(|stats| stats.success != (trajectory.status == Status::Success))
         {
             return Err("its outcome contradicts the status of its last step".to_owned());
         }
         for (t, transition) in trajectory.transitions.iter().enumerate() {
             let at = |reason: String| format!("step {t} {reason}");
             self.check_action(&transition.action).map_err(at)?;
-            self.check_draws(transition, trajectory.behavior_policy).map_err(at)?;
+            self.check_draws(transition).map_err(at)?;
             check_scene(&transition.scene).map_err(at)?;
             check_reward(&transition.reward).map_err(at)?;
             if transition.disturbance.is_some() {
@@ -123,44 +121,31 @@ impl Admission {
 
     fn check_task(&self, trajectory: &Trajectory) -> Result<(), String> {
         let goal = &trajectory.task.blueprint;
-        let Some(n_blocks) = self.training.get(goal).copied() else {
+        if !self.training.contains(goal) {
             return Err(format!("blueprint {goal} is not for training in this run"));
-        };
+        }
         match &trajectory.task.start {
             Start::Scattered => Ok(()),
             Start::Prebuilt(_) if !self.acting.has_prebuilt_starts => {
                 Err("no episode of this run begins with another blueprint built".to_owned())
             }
-            Start::NearGoal { .. } if !self.acting.has_near_goal_starts => {
-                Err("no episode of this run begins near its goal".to_owned())
-            }
-            Start::Prebuilt(other) if self.training.contains_key(other) => Ok(()),
+            Start::Prebuilt(other) if self.training.contains(other) => Ok(()),
             Start::Prebuilt(other) => Err(format!("blueprint {other}, which stands at the start, is not for training")),
-            Start::NearGoal { undone } if usize::from(*undone) < n_blocks => Ok(()),
-            Start::NearGoal { undone } => Err(format!("{undone} blocks cannot be taken off {goal}")),
+            Start::NearGoal { .. } => Err("no episode of training begins near its goal".to_owned()),
             Start::AsItIs => Err("episodes of training begin with a reset".to_owned()),
         }
     }
 
-    /// Checks what the run's actors do: how long episodes and warm starts are, and who acts.
+    /// Checks what the run's actors do: how long episodes are, and who acts.
     fn check_acting(&self, trajectory: &Trajectory) -> Result<(), String> {
-        let ActingLimits { episode_steps, warm_start_steps, .. } = self.acting;
+        let episode_steps = self.acting.episode_steps;
         let n_steps = usize::from(trajectory.first_step) + trajectory.transitions.len();
         if n_steps > usize::from(episode_steps) {
             return Err(format!("{n_steps} steps are more than an episode of this run has, {episode_steps}"));
         }
-        let n_warm_start_steps = trajectory.n_warm_start_steps;
-        if n_warm_start_steps > warm_start_steps {
-            return Err(format!(
-                "a warm start of {n_warm_start_steps} steps is longer than any of this run, {warm_start_steps}"
-            ));
-        }
         match trajectory.behavior_policy {
             BehaviorPolicy::Sampled => Ok(()),
-            BehaviorPolicy::Greedy if warm_start_steps > 0 => Ok(()),
-            BehaviorPolicy::Greedy => {
-                Err("no greedy policy acts in this run, because it has no warm starts".to_owned())
-            }
+            BehaviorPolicy::Greedy => Err("no greedy policy acts in a training run".to_owned()),
             BehaviorPolicy::Expert => Err("no expert acts in a training run".to_owned()),
         }
     }
@@ -175,7 +160,7 @@ impl Admission {
 
     /// Checks that an action has draws as the move head makes them. Whether the scene offers them is found out when it
     /// is learned from.
-    fn check_draws(&self, transition: &Transition, behavior_policy: BehaviorPolicy) -> Result<(), String> {
+    fn check_draws(&self, transition: &Transition) -> Result<(), String> {
         let drawn = transition.proposals;
         if let Some(slot) = drawn.into_iter().flatten().find(|&slot| Slot::from_index(slot).is_none()) {
             return Err(format!("was drawn from proposal {slot}, and the highest is {}", N_SLOTS - 1));
@@ -184,7 +169,7 @@ impl Admission {
             MoveHead::Gaussian if drawn != [None; N_GRIPPERS] => {
                 Err("was drawn from a proposal, and there are none with policy.network.move_head = gaussian".to_owned())
             }
-            MoveHead::Mixture if behavior_policy == BehaviorPolicy::Sampled && drawn[0].is_none() => {
+            MoveHead::Mixture if drawn[0].is_none() => {
                 Err("names no proposal, as each draw does with policy.network.move_head = mixture".to_owned())
             }
             MoveHead::Gaussian | MoveHead::Mixture => Ok(()),
@@ -234,7 +219,7 @@ fn within(x: f32, limit: f32) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use proto::Outcome;
+    use proto::EpisodeStats;
 
     use super::*;
     use crate::LearnerSetup;
@@ -278,8 +263,7 @@ mod tests {
             (prebuilt(held_out.id().as_str()), false),
             (prebuilt("validation_7_000"), false),
             (prebuilt("gen1-tower-ff_4_003"), false),
-            (Start::NearGoal { undone: 2 }, true),
-            (Start::NearGoal { undone: 3 }, false),
+            (Start::NearGoal { undone: 1 }, false),
             (Start::AsItIs, false),
         ] {
             let check = admission().check(&of_goal("3_000", start.clone()));
@@ -330,7 +314,8 @@ mod tests {
             (
                 |t| {
                     t.status = Status::TimeLimit;
-                    t.outcome = Some(Outcome { success: true, n_steps: 2, episode_return: Default::default() });
+                    t.episode_stats =
+                        Some(EpisodeStats { success: true, n_steps: 2, episode_return: Default::default() });
                 },
                 "its outcome contradicts the status",
             ),
@@ -348,16 +333,14 @@ mod tests {
     #[test]
     fn draws_that_the_move_head_does_not_make_are_refused() {
         let hold = Some(Slot::alone(policy::proposals::Kind::Hold).index());
-        let check = |move_head, behavior_policy, proposals| {
+        let check = |move_head, proposals| {
             let mut setup = small_setup(1);
             setup.policy = setup.policy.with(|c| c.network.move_head = move_head).unwrap();
             let mut drawn = trajectory(2, 5);
-            drawn.behavior_policy = behavior_policy;
             drawn.transitions.iter_mut().for_each(|transition| transition.proposals = [hold, None]);
             drawn.transitions[1].proposals = proposals;
             setup.admission().check(&drawn)
         };
-        let (mixture, sampled) = (MoveHead::Mixture, BehaviorPolicy::Sampled);
         for (proposals, message) in [
             ([hold, hold], None),
             ([hold, None], None),
@@ -366,10 +349,9 @@ mod tests {
             ([hold, Some(255)], Some("step 1 was drawn from proposal 255, and the highest is 32")),
             ([None, hold], Some("step 1 names no proposal, as each draw does with policy.network.move_head = mixture")),
         ] {
-            assert_eq!(check(mixture, sampled, proposals).err().as_deref(), message, "{proposals:?}");
+            assert_eq!(check(MoveHead::Mixture, proposals).err().as_deref(), message, "{proposals:?}");
         }
-        assert_eq!(check(mixture, BehaviorPolicy::Greedy, [None, None]), Ok(()));
-        let error = check(MoveHead::Gaussian, sampled, [None, None]).unwrap_err();
+        let error = check(MoveHead::Gaussian, [None, None]).unwrap_err();
         let message = "step 0 was drawn from a proposal, and there are none with policy.network.move_head = gaussian";
         assert_eq!(error, message);
     }
@@ -377,45 +359,23 @@ mod tests {
     #[test]
     fn what_the_settings_of_the_run_exclude_is_refused() {
         type Spoil = fn(&mut Trajectory);
-        let acting = ActingLimits {
-            episode_steps: 100,
-            warm_start_steps: 60,
-            has_prebuilt_starts: false,
-            has_near_goal_starts: false,
-        };
-        let rules_of = |acting| {
-            let mut setup = small_setup(1);
-            setup.acting = acting;
-            setup.admission()
-        };
-        let rules = rules_of(acting);
-        let cases: [(Spoil, &str); 6] = [
+        let mut setup = small_setup(1);
+        setup.acting = ActingLimits { episode_steps: 100, has_prebuilt_starts: false };
+        let rules = setup.admission();
+        let cases: [(Spoil, &str); 5] = [
             (|t| t.first_step = 99, "101 steps are more than an episode of this run has, 100"),
-            (
-                |t| (t.first_step, t.n_warm_start_steps) = (61, 61),
-                "a warm start of 61 steps is longer than any of this run, 60",
-            ),
-            (|t| t.n_warm_start_steps = 999, "a warm start of 999 steps is longer than any of this run, 60"),
+            (|t| t.behavior_policy = BehaviorPolicy::Greedy, "no greedy policy acts in a training run"),
             (|t| t.behavior_policy = BehaviorPolicy::Expert, "no expert acts in a training run"),
             (
                 |t| t.task.start = Start::Prebuilt("2_001".parse().unwrap()),
                 "no episode of this run begins with another blueprint built",
             ),
-            (|t| t.task.start = Start::NearGoal { undone: 1 }, "no episode of this run begins near its goal"),
+            (|t| t.task.start = Start::NearGoal { undone: 1 }, "no episode of training begins near its goal"),
         ];
         for (spoil, message) in cases {
             let mut spoilt = trajectory(2, 5);
             spoil(&mut spoilt);
             assert_eq!(rules.check(&spoilt), Err(message.to_owned()));
         }
-        let mut longest = trajectory(2, 5);
-        (longest.first_step, longest.n_warm_start_steps, longest.behavior_policy) = (60, 60, BehaviorPolicy::Greedy);
-        assert_eq!(rules.check(&longest), Ok(()));
-        let without = ActingLimits { warm_start_steps: 0, ..acting };
-        let rules = rules_of(without);
-        let mut greedy = trajectory(2, 5);
-        greedy.behavior_policy = BehaviorPolicy::Greedy;
-        let reason = "no greedy policy acts in this run, because it has no warm starts";
-        assert_eq!(rules.check(&greedy), Err(reason.to_owned()));
     }
 }

@@ -6,7 +6,7 @@ use blueprints::{Blueprint, Catalog};
 use policy::mixture::ActionRows;
 use policy::proposals::Slot;
 use policy::{FeatureBatch, MoveHead, PolicyConfig};
-use proto::{Action, BehaviorPolicy, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
+use proto::{Action, Observation, Scene, Status, Trajectory, Transition, WeightsVersion};
 
 use crate::advantages::{Estimator, Steps};
 use crate::draws::{self, Draws};
@@ -73,12 +73,11 @@ impl Batch {
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let (policy_lag, fingerprint) = (policy_lag(version, &trajectory), trajectory.fingerprint());
             let first = batch.actions.len();
-            let is_drawn = trajectory.behavior_policy == BehaviorPolicy::Sampled;
             let mut is_offered = true;
             for (t, transition) in trajectory.transitions.iter().enumerate() {
                 batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint });
                 let after = trajectory.transitions.get(t + 1).map_or(&trajectory.last_scene, |next| &next.scene);
-                if is_drawn && !batch.push_draws(transition, after, &blueprint) {
+                if !batch.push_draws(transition, after, &blueprint) {
                     is_offered = false;
                     break;
                 }

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::advantages::Estimator;
 use crate::gae::Gae;
 
-pub use curriculum::{CurriculumConfig, LearnabilityConfig, PaperConfig, ReverseConfig, UniformConfig, WideningConfig};
+pub use curriculum::{CurriculumConfig, PaperConfig, UniformConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use schedule::Schedule;
 
@@ -46,8 +46,6 @@ settings! {
         pub mailbox: MailboxConfig;
         /// How training blueprints are drawn as goals.
         pub curriculum: CurriculumConfig;
-        /// How far from the goal episodes begin; absent by default, which leaves that to the actors.
-        pub reverse: Option<ReverseConfig>;
         /// When to save checkpoints and how many to keep.
         pub checkpoints: CheckpointConfig;
     }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::BlueprintId;
 use proto::metrics::EpisodeMetrics;
 use proto::wilson::SuccessRate;
-use proto::{Outcome, RewardTerms, Trajectory};
+use proto::{EpisodeStats, RewardTerms, Trajectory};
 
 /// Sums over finished episodes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -20,19 +20,19 @@ impl EpisodeTally {
     pub fn of(trajectories: &[Trajectory]) -> Self {
         let mut tally = Self::default();
         for trajectory in trajectories {
-            if let Some(outcome) = &trajectory.outcome {
-                tally.add(&trajectory.task.blueprint, outcome);
+            if let Some(stats) = &trajectory.episode_stats {
+                tally.add(&trajectory.task.blueprint, stats);
             }
         }
         tally
     }
 
     /// Counts one episode.
-    pub fn add(&mut self, blueprint: &BlueprintId, outcome: &Outcome) {
-        self.n_steps += u64::from(outcome.n_steps);
-        self.episode_return = self.episode_return + outcome.episode_return;
+    pub fn add(&mut self, blueprint: &BlueprintId, stats: &EpisodeStats) {
+        self.n_steps += u64::from(stats.n_steps);
+        self.episode_return = self.episode_return + stats.episode_return;
         let (n_successes, n_episodes) = self.by_blueprint.entry(blueprint.clone()).or_default();
-        *n_successes += u64::from(outcome.success);
+        *n_successes += u64::from(stats.success);
         *n_episodes += 1;
     }
 
@@ -75,9 +75,10 @@ mod tests {
     fn only_finished_episodes_count() {
         let mut ended = trajectory(2, 0);
         let episode_return = RewardTerms { connected: 1.0, wrong: -0.5, ..RewardTerms::default() };
-        ended.outcome = Some(Outcome { success: true, n_steps: 30, episode_return });
+        ended.episode_stats = Some(EpisodeStats { success: true, n_steps: 30, episode_return });
         let mut failed = ended.clone();
-        failed.outcome = Some(Outcome { success: false, n_steps: 50, episode_return: RewardTerms::default() });
+        failed.episode_stats =
+            Some(EpisodeStats { success: false, n_steps: 50, episode_return: RewardTerms::default() });
         let metrics = EpisodeTally::of(&[ended, trajectory(3, 0), failed]).metrics();
         assert_eq!((metrics.success.n_successes, metrics.success.n_episodes), (1, 2));
         assert_eq!(metrics.mean_steps, 40.0);

@@ -48,11 +48,10 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
         },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 0,
-        n_warm_start_steps: 0,
         transitions,
         last_scene: scene(rng),
         status: Status::Running,
-        outcome: None,
+        episode_stats: None,
     }
 }
 

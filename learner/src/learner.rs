@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use blueprints::{Blueprint, BlueprintId, Catalog};
+use blueprints::{BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::FeatureMoments;
 use policy::{Policy, PolicyConfig, PolicyError};
@@ -24,7 +24,6 @@ use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::model::Model;
 use crate::normalization::ValueStatistics;
 use crate::ppo::{Ppo, Trained};
-use crate::reverse::ReverseCurriculum;
 use crate::state::LearnerState;
 use crate::trial::Trial;
 
@@ -120,8 +119,6 @@ impl Learner {
             return Err(LearnerError::UnknownTask(unknown.clone()));
         }
         let device = setup.device.open()?;
-        let with_size = |id: &BlueprintId| (id.clone(), n_blocks(&setup.catalog, id));
-        let tasks: Vec<(BlueprintId, usize)> = setup.tasks.iter().map(with_size).collect();
         let state = LearnerState {
             version: WeightsVersion(0),
             n_env_steps: 0,
@@ -130,11 +127,7 @@ impl Learner {
             learning_rate: LearningRate(setup.config.optimizer.learning_rate),
             initial_rate: Some(setup.config.optimizer.learning_rate),
             rng: ChaCha8Rng::seed_from_u64(setup.seed),
-            curriculum: Curriculum::new(setup.config.curriculum.clone(), tasks.iter().cloned()),
-            reverse: match &setup.config.reverse {
-                Some(_) => ReverseCurriculum::new(tasks.iter().map(|(_, n_blocks)| *n_blocks)),
-                None => ReverseCurriculum::default(),
-            },
+            curriculum: Curriculum::new(setup.config.curriculum.clone(), setup.tasks.iter().cloned()),
             features: FeatureMoments::default(),
             n_feature_scenes: 0,
             values: ValueStatistics::default(),
@@ -217,10 +210,7 @@ impl Learner {
         let initial_rate = learner.state.initial_rate;
         let learning_rate = resumed_rate(&state, &learner.setup.config.optimizer);
         let curriculum = learner.state.curriculum.with_state_of(state.curriculum);
-        // If the reverse curriculum was turned on or off, start with the new setting.
-        let is_new = state.reverse.reach().is_empty() || learner.setup.config.reverse.is_none();
-        let reverse = if is_new { learner.state.reverse } else { state.reverse };
-        learner.state = LearnerState { curriculum, reverse, learning_rate, initial_rate, ..state };
+        learner.state = LearnerState { curriculum, learning_rate, initial_rate, ..state };
         Ok(learner)
     }
 
@@ -246,12 +236,8 @@ impl Learner {
     /// Records how episodes ended.
     pub(crate) fn record(&mut self, trajectories: &[Trajectory]) {
         for trajectory in trajectories {
-            if let Some(outcome) = &trajectory.outcome {
-                self.state.curriculum.record(&trajectory.task.blueprint, outcome.success);
-                if let Some(reverse) = &self.setup.config.reverse {
-                    let n_blocks = n_blocks(&self.setup.catalog, &trajectory.task.blueprint);
-                    self.state.reverse.record(&trajectory.task.start, n_blocks, outcome.success, reverse);
-                }
+            if let Some(stats) = &trajectory.episode_stats {
+                self.state.curriculum.record(&trajectory.task.blueprint, stats.success);
             }
         }
     }
@@ -333,15 +319,14 @@ impl Learner {
         self.ppo.table().iter().map(ParameterInfo::from).collect()
     }
 
-    /// Returns the feature statistics updated with the raw features of a batch and of the trajectories outside it, and
-    /// their number of scenes; `None` if the statistics are frozen.
-    pub(crate) fn statistics_after(&self, batch: &Batch, others: Vec<Trajectory>) -> Option<(FeatureMoments, usize)> {
+    /// Returns the feature statistics updated with the raw features of a batch, and its number of scenes; `None` if the
+    /// statistics are frozen.
+    pub(crate) fn statistics_after(&self, batch: &Batch) -> Option<(FeatureMoments, usize)> {
         let is_moving = self.setup.config.normalization.features && self.state.n_feature_scenes < N_FEATURE_SCENES;
         is_moving.then(|| {
-            let (mut moments, others) = (self.state.features.clone(), self.batch(others));
+            let mut moments = self.state.features.clone();
             moments.push(&batch.features);
-            moments.push(&others.features);
-            (moments, batch.features.n + others.features.n)
+            (moments, batch.features.n)
         })
     }
 
@@ -365,16 +350,6 @@ fn resumed_rate(saved: &LearnerState, config: &OptimizerConfig) -> LearningRate 
         LrSchedule::Adaptive(rule) => LearningRate(saved.learning_rate.0.clamp(rule.min, rule.max)),
         LrSchedule::Fixed(_) | LrSchedule::Line(_) => saved.learning_rate,
     }
-}
-
-/// Returns the number of environment steps that a trajectory accounts for: its own and those of its episode's warm start.
-pub(crate) fn n_env_steps(trajectory: &Trajectory) -> u64 {
-    trajectory.transitions.len() as u64 + u64::from(trajectory.n_warm_start_steps)
-}
-
-/// Returns a goal's number of blocks. The id of a generated goal contains it, so the goal is not generated.
-fn n_blocks(catalog: &Catalog, id: &BlueprintId) -> usize {
-    id.size().or_else(|| catalog.get(id).map(Blueprint::n_blocks)).unwrap_or(0)
 }
 
 fn n_cores() -> usize {

@@ -1,7 +1,7 @@
 //! The learner: PPO from trajectories to weights, with checkpoints and curriculum.
 //!
 //! [`train`] is the algorithm on one page. What it calls: [`source`] and [`mailbox`] (where trajectories come from),
-//! [`batch`], `ppo`, [`loss`], [`advantages`], [`gae`], [`adam`]; [`curriculum`] and [`reverse`] (what is played next); [`learner`]
+//! [`batch`], `ppo`, [`loss`], [`advantages`], [`gae`], [`adam`]; [`curriculum`] (what is played next); [`learner`]
 //! (the state, and how it is resumed) and [`checkpoint`]. [`mod@run`] is the service on the bus.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -27,7 +27,6 @@ pub mod normalization;
 mod numbers;
 mod onnx;
 mod ppo;
-pub mod reverse;
 pub mod run;
 pub mod source;
 pub mod state;

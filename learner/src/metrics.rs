@@ -40,7 +40,7 @@ pub struct UpdateMetrics {
     pub refused_total: u64,
     /// Why this update was taken back; `None` if its weights are in force.
     pub refused: Option<String>,
-    /// Environment steps of this update: the samples, and the warm starts before them.
+    /// Environment steps of this update.
     pub n_steps: u64,
     /// PPO metrics.
     pub ppo: PpoMetrics,
@@ -50,8 +50,6 @@ pub struct UpdateMetrics {
     pub episodes: EpisodeMetrics,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
-    /// Maximum number of blocks removed at the start of an episode, by the goal's number of blocks.
-    pub reverse_reach: BTreeMap<u8, u8>,
 }
 
 /// An update that [`UpdateMetrics`] describe.
@@ -89,7 +87,6 @@ impl Learner {
             proposals: learned.proposals,
             episodes,
             task_probabilities: self.state.curriculum.probabilities(),
-            reverse_reach: self.state.reverse.reach(),
         }
     }
 }

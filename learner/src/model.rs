@@ -68,8 +68,7 @@ impl Model {
     pub fn new(policy: &Valid<PolicyConfig>, weights: &Weights) -> Self {
         let network = Network::init(&policy.network, &policy.sizes(), 0, &Device::flex());
         let table = network.table().iter().map(ParameterInfo::from).collect();
-        let weights =
-            Weights { task_probabilities: Default::default(), reverse_reach: Default::default(), ..weights.clone() };
+        let weights = Weights { task_probabilities: Default::default(), ..weights.clone() };
         Self { policy: policy.clone(), weights, verdict: None, table }
     }
 
@@ -132,7 +131,6 @@ impl Model {
             parameters,
             normalization: header.normalization,
             task_probabilities: Default::default(),
-            reverse_reach: Default::default(),
         };
         Ok(Self { policy, weights, verdict: header.verdict, table: header.table })
     }

@@ -11,11 +11,9 @@ use crate::curriculum::Curriculum;
 use crate::mailbox::MailboxCounts;
 use crate::normalization::ValueStatistics;
 use crate::numbers::{finite, not_negative, positive};
-use crate::reverse::ReverseCurriculum;
 
-/// Counters, statistics, curriculum, and random number generator.
+/// Counters, statistics, curriculum, and random number generator. Fields of earlier versions are ignored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct LearnerState {
     /// Version of the parameters.
     pub version: WeightsVersion,
@@ -34,9 +32,6 @@ pub struct LearnerState {
     pub rng: ChaCha8Rng,
     /// Task probabilities.
     pub curriculum: Curriculum,
-    /// Reverse curriculum; empty if it is off.
-    #[serde(default)]
-    pub reverse: ReverseCurriculum,
     /// Statistics of node, edge, and global features.
     pub features: FeatureMoments,
     /// Number of scenes in `features`.
@@ -70,7 +65,6 @@ impl LearnerState {
         }
         not_negative("state.learning_rate", self.learning_rate.0)?;
         self.curriculum.check("state.curriculum")?;
-        self.reverse.check("state.reverse")?;
         let sizes = model.sizes();
         let widths = [sizes.node, sizes.edge, sizes.global];
         self.features.check("state.features", widths)?;
@@ -88,7 +82,6 @@ impl LearnerState {
             parameters,
             normalization: self.normalization.clone(),
             task_probabilities: self.curriculum.probabilities(),
-            reverse_reach: self.reverse.reach(),
         }
     }
 }

@@ -16,13 +16,13 @@ mod saving;
 use std::path::PathBuf;
 
 use policy::normalization::normalize;
-use proto::{BehaviorPolicy, Trajectory};
+use proto::Trajectory;
 
 pub(crate) use self::output::{Clock, Output, Publication, Saving};
 pub use self::output::{SAVE_RETRY, Summary};
 use crate::batch::Batch;
 use crate::episodes::EpisodeTally;
-use crate::learner::{Learner, n_env_steps};
+use crate::learner::Learner;
 use crate::metrics::{Update, UpdateMetrics};
 use crate::ppo::Progress;
 use crate::source::Source;
@@ -90,7 +90,7 @@ impl Trainer {
 }
 
 impl Learner {
-    /// Runs one update; `None` without trajectories. PPO uses only trajectories with sampled actions.
+    /// Runs one update; `None` without trajectories.
     ///
     /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
     pub fn update(&mut self, trajectories: Vec<Trajectory>) -> Option<UpdateMetrics> {
@@ -98,16 +98,14 @@ impl Learner {
             return None;
         }
         let episodes = EpisodeTally::of(&trajectories);
-        let n_steps = trajectories.iter().map(n_env_steps).sum();
+        let n_steps = trajectories.iter().map(|trajectory| trajectory.transitions.len() as u64).sum();
         let mut trial = Trial::new(&trajectories, &self.setup.catalog);
         self.record(&trajectories);
         let before = (self.ppo.trained(), self.state.clone());
 
-        let is_sampled = |trajectory: &Trajectory| trajectory.behavior_policy == BehaviorPolicy::Sampled;
-        let (sampled, others): (Vec<_>, Vec<_>) = trajectories.into_iter().partition(is_sampled);
-        let mut batch = self.batch(sampled);
+        let mut batch = self.batch(trajectories);
         // The statistics come from raw features and take effect with the next weights.
-        let statistics = self.statistics_after(&batch, others);
+        let statistics = self.statistics_after(&batch);
         normalize(&mut batch.features, &self.state.normalization);
         let learned = self.ppo.update(&mut batch, &self.setup.config, &mut Progress::of(&mut self.state));
         self.adopt(statistics);

@@ -213,7 +213,7 @@ fn paper_curriculum_matches() {
         (0..golden["n"].as_u64().unwrap()).map(|i| BlueprintId::try_from(format!("2_{i:03}")).unwrap()).collect();
     assert_eq!((number("tau"), number("decay")), (0.2, 0.99));
     let config = PaperConfig { temperature: number("temp") };
-    let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.iter().map(|id| (id.clone(), 2)));
+    let mut curriculum = Curriculum::new(CurriculumConfig::Paper(config), ids.clone());
     for (k, update) in golden["updates"].as_array().unwrap().iter().enumerate() {
         let indices = update["blueprint_indices"].as_array().unwrap().iter();
         let successes = update["success"].as_array().unwrap().iter();

@@ -45,7 +45,6 @@ fn weights(config: &PolicyConfig, seed: u64) -> Weights {
         parameters: parameters::flatten(&network),
         normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: BTreeMap::new(),
-        reverse_reach: Default::default(),
     }
 }
 

@@ -33,6 +33,6 @@ pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
 pub use setting::InvalidSetting;
 pub use step::{Action, ActionMode, InvalidActionMode, Move, RewardTerms, Status};
-pub use trajectory::{ActorId, BehaviorPolicy, InvalidActorId, Outcome, Start, Task, Trajectory, Transition};
+pub use trajectory::{ActorId, BehaviorPolicy, EpisodeStats, InvalidActorId, Start, Task, Trajectory, Transition};
 pub use valid::Valid;
 pub use weights::{Normalization, Weights, WeightsVersion};

@@ -24,7 +24,7 @@ pub struct LearnerMetrics {
     pub n_updates: u64,
     /// Environment steps consumed so far.
     pub n_env_steps: u64,
-    /// Environment steps of this update: the samples, and the warm starts before them.
+    /// Environment steps of this update.
     #[serde(default)]
     pub n_update_steps: u64,
     /// Episodes that ended so far.
@@ -68,10 +68,6 @@ pub struct LearnerMetrics {
     pub bus: BusCounts,
     /// Probability of each training blueprint.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
-    /// Maximum number of blocks removed at the start of an episode, by the goal's number of blocks; empty without a
-    /// reverse curriculum.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
-    pub reverse_reach: BTreeMap<u8, u8>,
     /// Present while nothing can be saved and training waits for that.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub not_saved: Option<NotSaved>,

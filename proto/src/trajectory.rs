@@ -96,7 +96,7 @@ impl fmt::Display for Start {
 
 /// The result of a finished episode; part of its last segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outcome {
+pub struct EpisodeStats {
     /// All success conditions held at the last step.
     pub success: bool,
     /// Steps of the whole episode.
@@ -125,9 +125,6 @@ pub struct Trajectory {
     pub behavior_policy: BehaviorPolicy,
     /// Index of the first transition in its episode.
     pub first_step: u16,
-    /// Steps before the first transition that are in no segment, because they are not used for learning. Nonzero only
-    /// in an episode's first segment.
-    pub n_warm_start_steps: u16,
     /// At least one step.
     pub transitions: Vec<Transition>,
     /// Scene after the last action.
@@ -135,7 +132,7 @@ pub struct Trajectory {
     /// `Running` if the segment was cut before the episode's end; never `Diverged`.
     pub status: Status,
     /// Present if and only if the episode ended.
-    pub outcome: Option<Outcome>,
+    pub episode_stats: Option<EpisodeStats>,
 }
 
 impl Trajectory {

@@ -49,9 +49,6 @@ pub struct Weights {
     pub normalization: Normalization,
     /// Probability of each training blueprint; sums to 1.
     pub task_probabilities: BTreeMap<BlueprintId, f32>,
-    /// Maximum number of blocks removed at the start of an episode, by the goal's number of blocks; all of them means a
-    /// scattered start. Empty without a reverse curriculum.
-    pub reverse_reach: BTreeMap<u8, u8>,
 }
 
 impl Default for Normalization {

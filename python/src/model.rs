@@ -141,7 +141,6 @@ impl Model {
             parameters,
             normalization: header.normalization,
             task_probabilities: Default::default(),
-            reverse_reach: Default::default(),
         };
         Ok(Self { config: Valid::new(header.policy)?, weights })
     }

@@ -46,7 +46,7 @@ impl Ring {
     }
 
     fn member(&self, role: &str, args: &[&str]) -> Process {
-        let shared = [role, "--connect", &self.endpoint, "--preset", "near-goal", "--health-file", role];
+        let shared = [role, "--connect", &self.endpoint, "--preset", "smoke", "--health-file", role];
         Process(quiet(self.folder.path(), &shared).args(args).spawn().unwrap())
     }
 
@@ -69,7 +69,7 @@ impl Ring {
     fn watch(&self) -> String {
         let mut command =
             quiet(self.folder.path(), &["watch", "--once", "--connect", &self.endpoint, "--keys", "keys"]);
-        let watched = command.args(["--run", "near-goal"]).stdout(Stdio::piped()).output().unwrap();
+        let watched = command.args(["--run", "smoke"]).stdout(Stdio::piped()).output().unwrap();
         String::from_utf8(watched.stdout).unwrap()
     }
 }
@@ -116,7 +116,7 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     let memory = [resident(&ring.router), resident(&learner)];
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/rogue.py");
     let [keys, strangers] = ["keys", "strangers"].map(|name| ring.path(name).display().to_string());
-    let report = told_by_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "near-goal"]);
+    let report = told_by_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "smoke"]);
 
     for (who, gets_in) in [
         ("without_keys", false),

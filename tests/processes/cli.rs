@@ -253,7 +253,7 @@ fn shells_know_the_commands() {
     let folder = tempfile::tempdir().unwrap();
     for shell in ["bash", "zsh", "fish"] {
         let text = printed(lodestone(folder.path()).args(["completions", shell]));
-        for words in ["evaluator", "learner.optimizer.learning_rate=", "16_002", "near-goal"] {
+        for words in ["evaluator", "learner.optimizer.learning_rate=", "16_002", "smoke"] {
             assert!(text.contains(words), "{shell}: no {words} in {text}");
         }
         std::fs::write(folder.path().join(shell), text).unwrap();

@@ -12,7 +12,7 @@ use crate::support::served::Process;
 /// The task of CI's learning test, saved often enough that a process can be killed at any time, and evaluated from the
 /// first update on.
 const TASK: [&str; 6] =
-    ["--preset", "near-goal", "--set", "learner.checkpoints.every_updates=2", "--set", "evaluator.every={versions=1}"];
+    ["--preset", "smoke", "--set", "learner.checkpoints.every_updates=2", "--set", "evaluator.every={versions=1}"];
 
 /// Environment steps that are more than enough to learn the task.
 const ENOUGH_STEPS: u64 = 200_000;
@@ -142,7 +142,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let _evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
     cluster.learn(["--run-dir", "run"], 2048);
 
-    let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--once"]);
+    let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--once"]);
     let record = |key: &str, file: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
         let recorded = std::fs::read_to_string(cluster.folder.path().join(file)).unwrap();
         let mut lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
@@ -154,7 +154,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     assert_eq!(told, record("eval/summary", "evaluated/metrics.jsonl", &version));
     assert!(told["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
 
-    let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "near-goal", "--history"]);
+    let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--history"]);
     let pass = history["passes"].as_array().unwrap().iter().find(|pass| version(pass)).unwrap();
     assert_eq!(pass["all"]["greedy"], told["all"]["greedy"]["success"]);
 
@@ -205,7 +205,7 @@ fn trackers_are_told_what_was_recorded() {
     };
 
     // Track live: values as they arrive, after the latest one of each key.
-    let live = [&cluster.endpoint, "--run", "near-goal", "--to", "mlflow", "--config", "run/config.toml"];
+    let live = [&cluster.endpoint, "--run", "smoke", "--to", "mlflow", "--config", "run/config.toml"];
     let mut listener = Process(track(&live).spawn().unwrap());
     let mut lines = BufReader::new(listener.0.stdout.take().unwrap()).lines().map(Result::unwrap);
     let mut missing = vec!["learner", "eval/summary"];
@@ -222,7 +222,7 @@ fn trackers_are_told_what_was_recorded() {
     assert!(Command::new("kill").args(["-TERM", &listener.0.id().to_string()]).status().unwrap().success());
     assert!(listener.0.wait().unwrap().success());
     let kept = told("mlflow", &store);
-    assert_eq!(kept["config"]["bus.run"], "near-goal");
+    assert_eq!(kept["config"]["bus.run"], "smoke");
     assert!(!kept["metrics"]["success-greedy/all"].as_array().unwrap().is_empty());
     let (recorded, logged) = (updates(), kept["metrics"]["learner/ppo/entropy"].as_array().unwrap());
     assert!(!logged.is_empty() && logged.iter().all(|update| recorded.contains(update)), "{logged:?}: {recorded:?}");
@@ -230,6 +230,6 @@ fn trackers_are_told_what_was_recorded() {
     // Track everything that a finished run left behind.
     assert!(track(&["run", "--to", "wandb"]).status().unwrap().success());
     let kept = told("wandb", cluster.folder.path());
-    assert_eq!(kept["config"]["bus"]["run"], "near-goal");
+    assert_eq!(kept["config"]["bus"]["run"], "smoke");
     assert_eq!(kept["metrics"]["learner/ppo/entropy"], serde_json::Value::Array(updates()));
 }

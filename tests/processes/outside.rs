@@ -14,7 +14,7 @@ fn paths_are_bytes_and_printed_commands_can_be_pasted() {
     let folder = tempfile::tempdir().unwrap();
     let (run, model, goal) = (&b"$HOME's run \xff"[..], &b"model \xff"[..], &b"my \xffgoal.toml"[..]);
     let [run, model, goal] = [run, model, goal].map(OsStr::from_bytes);
-    let short = ["--preset", "near-goal", "--steps", "1", "--no-web", "--set", "evaluator.evaluate_last=false"];
+    let short = ["--preset", "smoke", "--steps", "1", "--no-web", "--set", "evaluator.evaluate_last=false"];
     let text = printed(lodestone(folder.path()).arg("train").args(short).arg("--run-dir").arg(run));
     assert!(folder.path().join(run).join("checkpoints").is_dir());
     let command = |start: &str| text.lines().find_map(|line| line.trim_start().strip_prefix(start)).unwrap();

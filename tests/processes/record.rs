@@ -45,6 +45,6 @@ fn an_interrupted_recording_has_whole_episodes() {
     for (number, name) in names.iter().enumerate() {
         assert_eq!(*name, format!("{number:05}-2_000.trajectory"));
         let episode = decode_recording(&std::fs::read(played.join(name)).unwrap()).unwrap();
-        assert!(episode.outcome.is_some(), "{name} is only part of an episode");
+        assert!(episode.episode_stats.is_some(), "{name} is only part of an episode");
     }
 }

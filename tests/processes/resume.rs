@@ -12,7 +12,7 @@ use crate::support::served::Process;
 /// The one command that a supervisor would run. Every update is saved, so the run can be killed at any time.
 const COMMAND: [&str; 6] = [
     "train",
-    "--preset=near-goal",
+    "--preset=smoke",
     "--run-dir=run",
     "--auto-resume",
     "--set=learner.checkpoints.every_updates=1",

@@ -161,7 +161,7 @@ fn training_that_diverges_stops_and_keeps_usable_weights() {
         "--set=evaluator.episodes.n_episodes=2",
     ];
     let mut train = lodestone(folder.path());
-    train.args(["train", "--preset", "near-goal", "--run-dir", "run", "--steps", "9000"]).args(diverge);
+    train.args(["train", "--preset", "smoke", "--run-dir", "run", "--steps", "9000"]).args(diverge);
     let said = refused(&mut train, 67, &["training has diverged: 3 updates in a row"]);
     let run = folder.path().join("run");
     assert!(said.contains(&format!("step-{}", n_saved_steps(&run))), "{said}");

@@ -11,7 +11,7 @@ use crate::support::served::{Process, page};
 
 /// Settings small enough to run in seconds, with goals that lack only one block, so that some episodes succeed.
 const SMALL: [&str; 6] = [
-    "--preset=near-goal",
+    "--preset=smoke",
     "--set=learner.batch_size=256",
     "--set=learner.minibatch_size=256",
     "--set=actor.n_worlds=8",
@@ -49,7 +49,7 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     // A full pipe would block the program, so keep reading its log.
     let rest = std::thread::spawn(move || lines.count());
 
-    let watched = ["render", "--connect", &endpoint, "--run", "near-goal", "--actor", "local", "--out", "live"];
+    let watched = ["render", "--connect", &endpoint, "--run", "smoke", "--actor", "local", "--out", "live"];
     finished(lodestone(folder.path()).args(watched).args(["--format", "png-strip", "--timeout", "120"]));
     let [live] = files(&folder.path().join("live")).try_into().unwrap();
     assert!(live.file_name().unwrap().to_str().unwrap().starts_with("local-01-2_000-"), "{live:?}");

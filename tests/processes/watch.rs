@@ -153,7 +153,7 @@ fn a_training_is_found_by_its_folder_and_without_any_name() {
     for args in [&[][..], &["runs/run"]] {
         let output = watch(args);
         let (shown, stderr) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-        assert!(shown.contains("Run near-goal at unixsock-stream/runs/run/bus.sock"), "{args:?}: {shown}{stderr}");
+        assert!(shown.contains("Run smoke at unixsock-stream/runs/run/bus.sock"), "{args:?}: {shown}{stderr}");
     }
     interrupt(&training);
     training.0.wait().unwrap();

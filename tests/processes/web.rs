@@ -22,9 +22,9 @@ fn a_page_shows_a_run_while_it_lasts() {
     assert_eq!(get(&address, "/readyz").0, 200);
     assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
     let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
-    assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"2_000".into()));
+    assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"5_001".into()));
     assert_eq!(history["passes"][0]["all"]["greedy"]["n_episodes"], 2);
-    assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"near-goal\",role=\"actor\"} 1.0\n"));
+    assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"smoke\",role=\"actor\"} 1.0\n"));
 
     interrupt(&run);
     // The event stream ends with the run and does not delay its end.
@@ -58,7 +58,7 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
         assert_eq!(family["type"], kind, "{name}");
         let of = |sample: &Value| {
             let mut labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
-            assert_eq!(labels.remove("run").as_deref(), Some("near-goal"));
+            assert_eq!(labels.remove("run").as_deref(), Some("smoke"));
             (labels.into_values().collect::<Vec<_>>().join(" "), sample[2].as_f64().unwrap())
         };
         family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
@@ -71,7 +71,7 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     assert_eq!(of_all("eval_group_success_ratio"), success.rate);
     assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
     assert_eq!(samples("eval_group_episodes", "gauge")["greedy train 2-6"], success.n_episodes as f64);
-    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["greedy 2_000 train"], success.rate);
+    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["greedy 5_001 train"], success.rate);
 
     let recorded = std::fs::read_to_string(folder.path().join("run/metrics.jsonl")).unwrap();
     let mut lines = recorded.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
@@ -120,22 +120,22 @@ fn runs_that_have_ended_are_shown_from_their_files() {
     assert_eq!(json("/runs/1/api/history")["learner"].as_array().unwrap().len(), updates);
     // Both its newest checkpoint and the expert can build.
     for agent in ["policy", "expert"] {
-        let episode = json(&format!("/api/play?blueprint=2_000&agent={agent}"));
-        assert_eq!((&episode["actor"], &episode["blueprint"]), (&agent.into(), &"2_000".into()));
+        let episode = json(&format!("/api/play?blueprint=5_001&agent={agent}"));
+        assert_eq!((&episode["actor"], &episode["blueprint"]), (&agent.into(), &"5_001".into()));
     }
     interrupt(&serving);
     assert!(serving.0.wait().unwrap().success());
 
     // A static copy of the page holds everything that a browser would request.
-    let export = ["serve", "run", "--export", "copy", "--blueprint", "2_000"];
+    let export = ["serve", "run", "--export", "copy", "--blueprint", "5_001"];
     printed(lodestone(folder.path()).args(export));
     let copied = |path: &str| std::fs::read_to_string(folder.path().join("copy").join(path)).unwrap();
     let json = |path: &str| -> Value { serde_json::from_str(&copied(path)).unwrap() };
     assert!(copied("index.html").contains("<html data-copy "));
-    assert_eq!(json("api/about.json")["recorded"], serde_json::json!(["2_000"]));
+    assert_eq!(json("api/about.json")["recorded"], serde_json::json!(["5_001"]));
     assert_eq!(json("api/history.json")["learner"].as_array().unwrap().len(), updates);
     for agent in ["policy", "expert"] {
-        assert_eq!(json(&format!("api/play/2_000-{agent}.json"))["actor"], agent);
+        assert_eq!(json(&format!("api/play/5_001-{agent}.json"))["actor"], agent);
     }
     refused(lodestone(folder.path()).args(export), 1, &["cannot make the folder copy"]);
     refused(lodestone(folder.path()).args(["serve", "gone"]), 66, &["gone does not exist"]);

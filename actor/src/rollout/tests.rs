@@ -1,6 +1,6 @@
 //! Rollouts of toy worlds with scripted endings.
 
-use proto::{Outcome, RewardTerms, WeightsVersion};
+use proto::{EpisodeStats, RewardTerms, WeightsVersion};
 
 use super::*;
 use crate::task::TaskFilter;
@@ -10,10 +10,6 @@ use crate::toy::{self, Toy, id};
 const VALUE: f32 = 5.0;
 
 fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<Toy> {
-    with_warm_start(scripts, seed, WarmStartConfig::default())
-}
-
-fn with_warm_start(scripts: &[&[Status]], seed: u64, warm_start: WarmStartConfig) -> Rollout<Toy> {
     let tasks = TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 3 }, ..Default::default() };
     let setup = RolloutSetup {
         catalog: Catalog::builtin().clone(),
@@ -21,7 +17,6 @@ fn with_warm_start(scripts: &[&[Status]], seed: u64, warm_start: WarmStartConfig
         settings: Default::default(),
         tasks,
         segment_len: 3,
-        warm_start,
         identity: toy::identity(),
         seed,
     };
@@ -40,34 +35,18 @@ fn segments_end_with_a_cut_a_success_and_the_time_limit() {
     let script = [Running, Running, Running, Success, Running, TimeLimit];
     let segments = run(&mut rollout(&[&script], 1), 6);
     let [cut, success, time_limit] = &segments[..] else { panic!("{} segments", segments.len()) };
-    assert_eq!((cut.status, cut.outcome), (Running, None));
+    assert_eq!((cut.status, cut.episode_stats), (Running, None));
     assert_eq!((success.status, time_limit.status), (Success, TimeLimit));
     // The script's rewards are 1 to 6.
     let of_terms = |connected| RewardTerms { connected, ..RewardTerms::default() };
-    assert_eq!(success.outcome, Some(Outcome { success: true, n_steps: 4, episode_return: of_terms(10.0) }));
-    assert_eq!(time_limit.outcome, Some(Outcome { success: false, n_steps: 2, episode_return: of_terms(11.0) }));
+    assert_eq!(success.episode_stats, Some(EpisodeStats { success: true, n_steps: 4, episode_return: of_terms(10.0) }));
+    assert_eq!(
+        time_limit.episode_stats,
+        Some(EpisodeStats { success: false, n_steps: 2, episode_return: of_terms(11.0) })
+    );
     // The last scene is the one before the reset. Only within an episode does the next segment begin with it.
     assert_eq!(cut.last_scene, success.transitions[0].scene);
     assert!(cut.transitions.iter().all(|step| step.behavior_log_prob.is_finite()));
-}
-
-#[test]
-fn a_warm_start_counts_but_is_not_learned_from() {
-    use Status::{Running, Success};
-    let script = [Running, Running, Running, Success];
-    let warm_start = WarmStartConfig { probability: 1.0, max_steps: 3 };
-    let mut rollout = with_warm_start(&[&script], 1, warm_start);
-    let segments = run(&mut rollout, 400);
-    let skipped: Vec<u16> = segments.iter().filter(|s| s.outcome.is_some()).map(|s| s.first_step).collect();
-    assert_eq!(skipped.len(), 100);
-    assert!(skipped.iter().all(|n| (1..=3).contains(n)) && (1..=3).all(|n| skipped.contains(&n)), "{skipped:?}");
-    let n_learned: usize = segments.iter().map(|segment| segment.transitions.len()).sum();
-    assert_eq!(rollout.counters().n_warm_start_steps as usize + n_learned, 400);
-    let n_told: usize = segments.iter().map(|segment| usize::from(segment.n_warm_start_steps)).sum();
-    assert_eq!(n_told, rollout.counters().n_warm_start_steps as usize, "each step of a warm start is told of once");
-    // The return is that of the whole episode.
-    let returns = segments.iter().filter_map(|segment| segment.outcome).map(|outcome| outcome.episode_return.connected);
-    assert!(returns.into_iter().all(|sum| sum == 10.0));
 }
 
 #[test]
@@ -93,15 +72,6 @@ fn diverged_episodes_are_dropped_and_counted() {
         ..Default::default()
     };
     assert_eq!(rollout.counters(), expected);
-}
-
-#[test]
-fn episodes_that_diverge_in_their_warm_start_are_counted_as_well() {
-    use Status::{Diverged, Running};
-    let warm_start = WarmStartConfig { probability: 1.0, max_steps: 1 };
-    let mut rollout = with_warm_start(&[&[Diverged, Running, Running]], 1, warm_start);
-    run(&mut rollout, 1);
-    assert_eq!(rollout.counters().n_diverged_episodes, 1);
 }
 
 #[test]
@@ -149,24 +119,4 @@ fn weights_of_another_network_are_refused_and_change_nothing() {
     let refused = rollout.set_weights(&weights);
     assert!(matches!(refused, Err(RolloutError::Policy(PolicyError::OtherNetwork { .. }))), "{refused:?}");
     assert_eq!(rollout.version(), WeightsVersion(0));
-}
-
-#[test]
-fn an_episode_that_ends_in_its_warm_start_tells_its_outcome() {
-    use Status::{Running, Success};
-    let warm_start = WarmStartConfig { probability: 1.0, max_steps: 1 };
-    let mut rollout = with_warm_start(&[&[Success]], 1, warm_start);
-    let segments = run(&mut rollout, 3);
-    assert_eq!(segments.len(), 3);
-    for segment in &segments {
-        assert_eq!((segment.behavior_policy, segment.status), (BehaviorPolicy::Greedy, Success));
-        assert_eq!((segment.first_step, segment.n_warm_start_steps, segment.transitions.len()), (0, 0, 1));
-    }
-    // One step of warm start, then the steps that are learned from.
-    let segments = run(&mut with_warm_start(&[&[Running, Success]], 1, warm_start), 4);
-    assert!(
-        segments
-            .iter()
-            .all(|segment| segment.behavior_policy == BehaviorPolicy::Sampled && segment.n_warm_start_steps == 1)
-    );
 }

@@ -22,7 +22,6 @@ fn config() -> ActorConfig {
         tasks: TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 2 }, ..Default::default() },
         backlog_limit: 8,
         full_backlog: FullBacklog::Pause,
-        ..Default::default()
     }
 }
 

@@ -239,7 +239,7 @@ impl SceneView {
 
 #[cfg(test)]
 pub(super) mod tests {
-    use proto::{Action, Gripper, Outcome, Pose, RewardTerms, Start, Task, Transition, WeightsVersion};
+    use proto::{Action, EpisodeStats, Gripper, Pose, RewardTerms, Start, Task, Transition, WeightsVersion};
 
     use super::*;
 
@@ -284,11 +284,10 @@ pub(super) mod tests {
             },
             behavior_policy: proto::BehaviorPolicy::Sampled,
             first_step,
-            n_warm_start_steps: 0,
             transitions: (0..n_steps).map(transition).collect(),
             last_scene: scene(9.0),
             status: if ends { Status::Success } else { Status::Running },
-            outcome: ends.then_some(Outcome { success: true, n_steps: 3, episode_return: reward }),
+            episode_stats: ends.then_some(EpisodeStats { success: true, n_steps: 3, episode_return: reward }),
         }
     }
 

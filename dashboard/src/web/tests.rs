@@ -80,7 +80,6 @@ fn untrained() -> (Valid<PolicyConfig>, Weights) {
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: [(BlueprintId::try_from("2_000".to_owned()).unwrap(), 1.0)].into(),
-        reverse_reach: Default::default(),
     };
     (policy, weights)
 }

@@ -269,11 +269,11 @@ mod tests {
         assert!(message.contains("has no effect while learner.optimizer.lr_schedule is a line"), "{message}");
         for name in ["features", "values"] {
             let set = format!("learner.normalization.{name}=false");
-            let message = load(&set, Some("near-goal")).unwrap();
+            let message = load(&set, Some("smoke")).unwrap();
             assert!(message.contains(&format!("{name} = false comes too late")), "{message}");
             assert_eq!(load(&set, None), None);
         }
-        assert_eq!(load("learner.optimizer.learning_rate=1e-4", Some("near-goal")), None);
+        assert_eq!(load("learner.optimizer.learning_rate=1e-4", Some("smoke")), None);
     }
 
     #[test]

@@ -123,12 +123,9 @@ impl Config {
 
     /// What actors with these settings do.
     pub fn acting_limits(&self) -> ActingLimits {
-        let ActorConfig { warm_start, tasks, .. } = &self.actor;
         ActingLimits {
             episode_steps: self.environment.episode_steps,
-            warm_start_steps: if warm_start.probability > 0.0 { warm_start.max_steps } else { 0 },
-            has_prebuilt_starts: tasks.prebuilt_probability > 0.0,
-            has_near_goal_starts: tasks.near_goal_probability > 0.0,
+            has_prebuilt_starts: self.actor.tasks.prebuilt_probability > 0.0,
         }
     }
 

@@ -151,7 +151,6 @@ mod tests {
             ingest: IngestCounts::default(),
             bus: BusCounts::default(),
             task_probabilities: std::collections::BTreeMap::new(),
-            reverse_reach: std::collections::BTreeMap::new(),
             not_saved: None,
         }
     }

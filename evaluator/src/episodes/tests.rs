@@ -44,7 +44,6 @@ pub(crate) fn weights() -> Weights {
         parameters: policy::parameters::flatten(&network),
         normalization: Normalization { value_std: 1.0, ..Normalization::default() },
         task_probabilities: [(blueprints(1)[0].id().clone(), 1.0)].into(),
-        reverse_reach: Default::default(),
     }
 }
 

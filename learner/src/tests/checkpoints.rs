@@ -346,9 +346,6 @@ fn a_state_with_numbers_that_no_run_has_is_refused_by_file_and_key() {
         ("/state/features/groups/0/count", json!(-1.0), "state.features.groups[0].count = -1"),
         ("/state/features/groups/0/squares/0", json!(-1.0), "state.features.groups[0].squares = -1"),
         ("/state/features/groups/1/mean", json!([0.0]), "state.features.groups[1] = 1 means"),
-        ("/state/reverse", json!({ "3": { "reach": 4, "success_rate": 0.0 } }), "state.reverse.3.reach = 4"),
-        ("/state/reverse", json!({ "3": { "reach": 3, "success_rate": -1.0 } }), "state.reverse.3.success_rate = -1"),
-        ("/state/reverse", json!({ "99": { "reach": 3, "success_rate": 0.0 } }), "state.reverse.99"),
     ];
     for (pointer, value, message) in cases {
         let mut state = state.clone();

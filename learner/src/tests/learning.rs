@@ -6,9 +6,7 @@ use blueprints::Catalog;
 use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{NetworkConfig, Policy, PolicyConfig};
-use proto::{
-    ActionMode, Agent, BehaviorPolicy, Observation, Outcome, RewardTerms, Scene, Status, Trajectory, Valid, Weights,
-};
+use proto::{ActionMode, Agent, EpisodeStats, Observation, RewardTerms, Scene, Status, Trajectory, Valid, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -58,7 +56,7 @@ pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
         step.proposals = decision.proposals;
         step.reward = reward;
         trajectory.status = if success { Status::Success } else { Status::TimeLimit };
-        trajectory.outcome = Some(Outcome { success, n_steps: 1, episode_return: reward });
+        trajectory.episode_stats = Some(EpisodeStats { success, n_steps: 1, episode_return: reward });
     }
     trajectories
 }
@@ -172,23 +170,6 @@ fn gradient_step_that_is_not_finite_is_skipped() {
     let metrics = learner.update_from_mailbox().unwrap();
     assert!(metrics.ppo.n_skipped_steps > 0);
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
-}
-
-#[test]
-fn ppo_uses_only_sampled_actions() {
-    let mut setup = small_setup(3);
-    setup.config = setup.config.with(|c| c.n_epochs = 3).unwrap();
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let trajectories = bandit(&setup, &learner.weights(), 300, &mut rng);
-    let (sampled, others) = trajectories.split_at(100);
-    feed(&learner, sampled.to_vec());
-    let greedy = |trajectory: &Trajectory| Trajectory { behavior_policy: BehaviorPolicy::Greedy, ..trajectory.clone() };
-    feed(&learner, others.iter().map(greedy).collect());
-    let update = learner.update_from_mailbox().unwrap();
-    assert_eq!((update.n_steps, update.ppo.n_samples, update.episodes.success.n_episodes), (256, 100, 256));
-    // One minibatch of 64 or more in each of 3 epochs.
-    assert_eq!(update.ppo.n_gradient_steps, 3);
 }
 
 #[test]

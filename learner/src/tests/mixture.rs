@@ -37,7 +37,7 @@ fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
             let joins = step.proposals.map(|slot| slot.is_some_and(is_join));
             step.reward.connected = joins.map(|joins| f32::from(u8::from(joins))).iter().sum();
             trajectory.status = Status::TimeLimit;
-            trajectory.outcome.as_mut().unwrap().success = false;
+            trajectory.episode_stats.as_mut().unwrap().success = false;
             n_joins += u32::from(joins == [true, true]);
         }
         rates.push(f64::from(n_joins) / 256.0);

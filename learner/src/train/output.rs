@@ -204,7 +204,6 @@ impl Output {
             ingest,
             bus,
             task_probabilities: update.task_probabilities.clone(),
-            reverse_reach: update.reverse_reach.clone(),
             not_saved: None,
         }
     }

@@ -10,7 +10,7 @@ use super::scene::{
 };
 use super::{DecodeError, PROTOCOL_VERSION, check_count, check_size, check_version, parse};
 use crate::{
-    ActorId, BehaviorPolicy, Disturbance, N_GRIPPERS, Outcome, Scene, Start, Status, Task, Trajectory, Transition,
+    ActorId, BehaviorPolicy, Disturbance, EpisodeStats, N_GRIPPERS, Scene, Start, Status, Task, Trajectory, Transition,
     WeightsVersion, wire,
 };
 
@@ -46,10 +46,10 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
         transitions: trajectory.transitions.iter().map(transition_to_wire).collect(),
         last_scene: Some(scene_to_wire(&trajectory.last_scene)),
         status: status_to_wire(trajectory.status).into(),
-        outcome: trajectory.outcome.as_ref().map(|outcome| wire::Outcome {
-            success: outcome.success,
-            n_steps: outcome.n_steps.into(),
-            episode_return: Some(reward_to_wire(&outcome.episode_return)),
+        episode_stats: trajectory.episode_stats.as_ref().map(|stats| wire::EpisodeStats {
+            success: stats.success,
+            n_steps: stats.n_steps.into(),
+            episode_return: Some(reward_to_wire(&stats.episode_return)),
         }),
         behavior_policy: match trajectory.behavior_policy {
             BehaviorPolicy::Sampled => wire::BehaviorPolicy::Sampled,
@@ -57,7 +57,6 @@ pub fn encode_trajectory(trajectory: &Trajectory) -> Vec<u8> {
             BehaviorPolicy::Expert => wire::BehaviorPolicy::Expert,
         }
         .into(),
-        n_warm_start_steps: trajectory.n_warm_start_steps.into(),
         checksum: None,
     }
     .encode_to_vec()
@@ -134,11 +133,10 @@ fn from_wire(message: wire::Trajectory) -> Result<Trajectory, DecodeError> {
         settings_hash: message.settings_hash,
         task: task_from_wire(present("task", message.task)?)?,
         first_step: narrow("first_step", message.first_step, "a number in 0..=65535")?,
-        n_warm_start_steps: narrow("n_warm_start_steps", message.n_warm_start_steps, "a number in 0..=65535")?,
         transitions: message.transitions.into_iter().map(transition_from_wire).collect::<Result<_, _>>()?,
         last_scene: scene_from_wire(present("last_scene", message.last_scene)?)?,
         status: status_from_wire(message.status)?,
-        outcome: message.outcome.map(outcome_from_wire).transpose()?,
+        episode_stats: message.episode_stats.map(stats_from_wire).transpose()?,
         behavior_policy: match wire::BehaviorPolicy::try_from(message.behavior_policy) {
             Ok(wire::BehaviorPolicy::Sampled) => BehaviorPolicy::Sampled,
             Ok(wire::BehaviorPolicy::Greedy) => BehaviorPolicy::Greedy,
@@ -179,26 +177,19 @@ fn named(grippers: [bool; N_GRIPPERS]) -> &'static str {
 }
 
 fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
-    if ![0, trajectory.first_step].contains(&trajectory.n_warm_start_steps) {
-        return Err(invalid(
-            "n_warm_start_steps",
-            trajectory.n_warm_start_steps,
-            "0, or first_step on the first segment",
-        ));
-    }
     let ended = trajectory.status != Status::Running;
-    let Some(outcome) = trajectory.outcome else {
-        return if ended { Err(DecodeError::Missing { field: "outcome" }) } else { Ok(()) };
+    let Some(stats) = trajectory.episode_stats else {
+        return if ended { Err(DecodeError::Missing { field: "episode_stats" }) } else { Ok(()) };
     };
     if !ended {
-        return Err(invalid("outcome", "present", "none before the episode's end"));
+        return Err(invalid("episode_stats", "present", "none before the episode's end"));
     }
     let n_steps = usize::from(trajectory.first_step) + trajectory.transitions.len();
-    if usize::from(outcome.n_steps) != n_steps {
-        return Err(invalid("outcome.n_steps", outcome.n_steps, "first_step plus the number of transitions"));
+    if usize::from(stats.n_steps) != n_steps {
+        return Err(invalid("episode_stats.n_steps", stats.n_steps, "first_step plus the number of transitions"));
     }
-    if trajectory.status == Status::Success && !outcome.success {
-        return Err(invalid("outcome.success", false, "true when the status is success"));
+    if trajectory.status == Status::Success && !stats.success {
+        return Err(invalid("episode_stats.success", false, "true when the status is success"));
     }
     Ok(())
 }
@@ -317,10 +308,10 @@ fn status_from_wire(status: i32) -> Result<Status, DecodeError> {
     }
 }
 
-fn outcome_from_wire(outcome: wire::Outcome) -> Result<Outcome, DecodeError> {
-    Ok(Outcome {
-        success: outcome.success,
-        n_steps: narrow("outcome.n_steps", outcome.n_steps, "a number in 0..=65535")?,
-        episode_return: reward_from_wire(present("outcome.episode_return", outcome.episode_return)?)?,
+fn stats_from_wire(stats: wire::EpisodeStats) -> Result<EpisodeStats, DecodeError> {
+    Ok(EpisodeStats {
+        success: stats.success,
+        n_steps: narrow("episode_stats.n_steps", stats.n_steps, "a number in 0..=65535")?,
+        episode_return: reward_from_wire(present("episode_stats.episode_return", stats.episode_return)?)?,
     })
 }

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::N_BLOCKS;
 use prost::Message;
 
 use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, present, probability, settings};
@@ -69,11 +68,6 @@ pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
             .iter()
             .map(|(id, &probability)| wire::TaskProbability { blueprint: id.to_string(), probability })
             .collect(),
-        reverse_reach: weights
-            .reverse_reach
-            .iter()
-            .map(|(&n_blocks, &undone)| wire::ReverseReach { n_blocks: n_blocks.into(), undone: undone.into() })
-            .collect(),
     }
     .encode_to_vec()
 }
@@ -94,7 +88,6 @@ pub fn decode_weights(bytes: Bytes) -> Result<PublishedWeights, DecodeError> {
         parameters,
         normalization: normalization_from_wire(present("normalization", message.normalization)?)?,
         task_probabilities: probabilities_from_wire(message.task_probabilities)?,
-        reverse_reach: reach_from_wire(message.reverse_reach)?,
     };
     Ok(PublishedWeights { epoch: message.epoch, weights })
 }
@@ -171,22 +164,6 @@ fn statistics_from_wire(message: wire::FeatureStatistics) -> Result<(Vec<f32>, V
     mean.iter().try_for_each(|&m| number("normalization.mean", m).map(drop))?;
     std.iter().try_for_each(|&s| positive("normalization.std", s).map(drop))?;
     Ok((mean, std))
-}
-
-fn reach_from_wire(message: Vec<wire::ReverseReach>) -> Result<BTreeMap<u8, u8>, DecodeError> {
-    let mut reach = BTreeMap::new();
-    for wire::ReverseReach { n_blocks, undone } in message {
-        let Some(size) = u8::try_from(n_blocks).ok().filter(|&n| (2..=N_BLOCKS).contains(&usize::from(n))) else {
-            return Err(invalid("reverse_reach.n_blocks", n_blocks, "2 to 16"));
-        };
-        let Some(undone) = u8::try_from(undone).ok().filter(|n| (1..=size).contains(n)) else {
-            return Err(invalid("reverse_reach.undone", undone, "1 to n_blocks"));
-        };
-        if reach.insert(size, undone).is_some() {
-            return Err(invalid("reverse_reach.n_blocks", n_blocks, "each number once"));
-        }
-    }
-    Ok(reach)
 }
 
 fn probabilities_from_wire(

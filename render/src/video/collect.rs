@@ -24,14 +24,13 @@ impl Collector {
         let place = self.begun.iter().position(|segments| segments.last().is_some_and(follows));
         let mut segments = match place {
             Some(place) => self.begun.remove(place),
-            // The segments of an episode begin after its warm start.
-            None if segment.first_step == segment.n_warm_start_steps => Vec::new(),
+            None if segment.first_step == 0 => Vec::new(),
             None => {
                 self.n_left_out += 1;
                 return None;
             }
         };
-        let is_over = segment.outcome.is_some();
+        let is_over = segment.episode_stats.is_some();
         segments.push(segment);
         if is_over {
             return Some(segments);
@@ -72,19 +71,6 @@ mod tests {
         let episode = collector.add(of_task(2, 2, 4)).unwrap();
         assert_eq!(episode, [of_task(2, 0, 2), of_task(2, 2, 4)]);
         assert_eq!(collector.n_left_out(), 2);
-    }
-
-    #[test]
-    fn an_episode_begins_after_its_warm_start() {
-        let mut collector = Collector::default();
-        let [first, second] = [(1, 3), (3, 4)].map(|(first, last)| {
-            let mut segment = of_task(1, first, last);
-            segment.n_warm_start_steps = 1;
-            segment
-        });
-        assert_eq!(collector.add(second.clone()), None);
-        assert_eq!(collector.add(first.clone()), None);
-        assert_eq!(collector.add(second.clone()), Some(vec![first, second]));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use proto::{
-    Action, ActorId, Gripper, Observation, Outcome, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
+    Action, ActorId, EpisodeStats, Gripper, Observation, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory,
     Transition, Valid, WeightsVersion,
 };
 
@@ -39,7 +39,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         disturbance: None,
     };
     let status = if last == 4 { Status::Success } else { Status::Running };
-    let outcome = Outcome { success: true, n_steps: 4, episode_return: reward };
+    let stats = EpisodeStats { success: true, n_steps: 4, episode_return: reward };
     let mut blocks = BlockIdx::all();
     Trajectory {
         actor: ActorId::try_from("by-hand".to_owned()).unwrap(),
@@ -55,11 +55,10 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: first,
-        n_warm_start_steps: 0,
         transitions: (first..last).map(transition).collect(),
         last_scene: scene(0.4 * f32::from(last)),
         status,
-        outcome: (status == Status::Success).then_some(outcome),
+        episode_stats: (status == Status::Success).then_some(stats),
     }
 }
 

@@ -26,7 +26,7 @@ pub(crate) fn interrupt(process: &Process) {
 
 /// Adds the arguments of the smallest training with evaluations.
 pub(crate) fn train(command: &mut Command) -> &mut Command {
-    command.args(["train", "--preset", "near-goal", "--run-dir", "run"]);
+    command.args(["train", "--preset", "smoke", "--run-dir", "run"]);
     for setting in [
         "learner.batch_size=256",
         "actor.n_worlds=8",

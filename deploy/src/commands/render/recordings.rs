@@ -235,11 +235,10 @@ mod tests {
             },
             behavior_policy: BehaviorPolicy::Greedy,
             first_step: first,
-            n_warm_start_steps: 0,
             transitions: vec![transition; usize::from(last - first)],
             last_scene: scene,
             status: Status::Running,
-            outcome: None,
+            episode_stats: None,
         }
     }
 

@@ -227,7 +227,7 @@ mod tests {
 
     #[test]
     fn every_point_has_all_settings_and_every_seed_a_run_of_each() {
-        let args = ["--preset=near-goal", "--set=learner.gae_lambda=0.9", "--steps=1e3", "--seed=7", "--seeds=2"];
+        let args = ["--preset=smoke", "--set=learner.gae_lambda=0.9", "--steps=1e3", "--seed=7", "--seeds=2"];
         let plan = plan(&[&args[..], &["--grid", "learner.gamma=0.9,0.95", "--grid", "ablation=none,resnet"]].concat());
         let plan = plan.unwrap();
         let config = |i: usize| Config::parse(&plan.points[i].config, "point").unwrap();

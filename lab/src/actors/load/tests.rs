@@ -45,11 +45,10 @@ fn segment(n_steps: usize) -> Trajectory {
         },
         behavior_policy: BehaviorPolicy::Sampled,
         first_step: 0,
-        n_warm_start_steps: 0,
         transitions: vec![transition; n_steps],
         last_scene: scene,
         status: Status::Running,
-        outcome: None,
+        episode_stats: None,
     }
 }
 
@@ -62,7 +61,6 @@ fn weights(version: u64) -> Arc<Weights> {
         parameters: vec![0.0; 4],
         normalization: Normalization::default(),
         task_probabilities: [("2_000".parse().unwrap(), 1.0)].into(),
-        reverse_reach: Default::default(),
     })
 }
 

@@ -115,7 +115,6 @@ prop_compose! {
         [epoch, seq, version] in any::<[u64; 3]>(),
         task in task(),
         first_step in 0..60_000u16,
-        is_after_warm_start in any::<bool>(),
         transitions in prop::collection::vec(transition(two_grippers), 1..4),
         last_scene in scene(two_grippers),
         status in prop::sample::select(vec![Status::Running, Status::Success, Status::TimeLimit]),
@@ -127,9 +126,8 @@ prop_compose! {
         let success = status == Status::Success || lucky;
         Trajectory {
             actor: actor.parse().unwrap(), epoch, seq, weights_version: WeightsVersion(version), settings_hash: seq, task,
-            behavior_policy, first_step, n_warm_start_steps: if is_after_warm_start { first_step } else { 0 },
-            transitions, last_scene, status,
-            outcome: (status != Status::Running).then_some(Outcome { success, n_steps, episode_return }),
+            behavior_policy, first_step, transitions, last_scene, status,
+            episode_stats: (status != Status::Running).then_some(EpisodeStats { success, n_steps, episode_return }),
         }
     }
 }

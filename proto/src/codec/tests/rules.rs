@@ -131,14 +131,13 @@ fn inconsistent_endings_are_refused() {
     let endings = "expected running, success or time limit";
     check(|t| t.status = Status::Diverged, &format!("status is 0, {endings}"));
     check_wire(|t| t.status = 9, &format!("status is 9, {endings}"));
-    check(|t| t.outcome = None, "outcome is missing");
-    check(|t| t.status = Status::Running, "outcome is present, expected none before the episode's end");
+    check(|t| t.episode_stats = None, "episode_stats is missing");
+    check(|t| t.status = Status::Running, "episode_stats is present, expected none before the episode's end");
     check(
-        |t| t.outcome.as_mut().unwrap().success = false,
-        "outcome.success is false, expected true when the status is success",
+        |t| t.episode_stats.as_mut().unwrap().success = false,
+        "episode_stats.success is false, expected true when the status is success",
     );
-    check(|t| t.n_warm_start_steps = 41, "n_warm_start_steps is 41, expected 0, or first_step on the first segment");
-    check(|t| t.first_step = 1, "outcome.n_steps is 42, expected first_step plus the number of transitions");
+    check(|t| t.first_step = 1, "episode_stats.n_steps is 42, expected first_step plus the number of transitions");
 }
 
 #[test]
@@ -229,9 +228,6 @@ fn invalid_weights_are_refused() {
     wire.settings = "b = 1\na = 2\n".to_owned();
     let error = decode_weights(wire.encode_to_vec().into()).unwrap_err().to_string();
     assert_eq!(error, "settings is 12 bytes, expected lines `key = value`, sorted by key");
-    check(|w| w.reverse_reach = [(17, 1)].into(), "reverse_reach.n_blocks is 17, expected 2 to 16");
-    check(|w| w.reverse_reach = [(3, 4)].into(), "reverse_reach.undone is 4, expected 1 to n_blocks");
-    check(|w| w.reverse_reach = [(3, 0)].into(), "reverse_reach.undone is 0, expected 1 to n_blocks");
     check(|w| w.task_probabilities.clear(), "task_probabilities is a sum of 0, expected a sum of 1");
     check(
         |w| *w.task_probabilities.values_mut().next().unwrap() = -0.5,

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
 use proto::{
-    Action, BehaviorPolicy, CanonicalSettings, Gripper, Joint, Normalization, Outcome, Pose, RewardTerms, Scene, Start,
-    Status, Task, Trajectory, Transition, Weights, WeightsVersion,
+    Action, BehaviorPolicy, CanonicalSettings, EpisodeStats, Gripper, Joint, Normalization, Pose, RewardTerms, Scene,
+    Start, Status, Task, Trajectory, Transition, Weights, WeightsVersion,
 };
 
 pub(crate) fn block(index: u8) -> BlockIdx {
@@ -64,11 +64,10 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
         },
         behavior_policy: proto::BehaviorPolicy::Sampled,
         first_step: 40,
-        n_warm_start_steps: 0,
         transitions: vec![transition(0.5), transition(0.75)],
         last_scene: scene(1.0),
         status: Status::Running,
-        outcome: None,
+        episode_stats: None,
     }
 }
 
@@ -76,7 +75,7 @@ pub(crate) fn running(actor: &str, seq: u64) -> Trajectory {
 pub(crate) fn successful(actor: &str, seq: u64) -> Trajectory {
     Trajectory {
         status: Status::Success,
-        outcome: Some(Outcome {
+        episode_stats: Some(EpisodeStats {
             success: true,
             n_steps: 42,
             episode_return: RewardTerms { connected: 2.0, wrong: -3.0, magnets: 0.5, blocks: 0.25, force: -1.0 },
@@ -125,6 +124,5 @@ pub(crate) fn weights(version: u64) -> Weights {
             .into_iter()
             .map(|(id, p)| (id.parse().unwrap(), p))
             .collect::<BTreeMap<_, _>>(),
-        reverse_reach: BTreeMap::new(),
     }
 }
