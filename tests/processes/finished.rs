@@ -92,7 +92,7 @@ fn a_sweep_is_shown_before_its_runs() {
         "failed: learner.gamma=0.95, seed 2 (exit status: 64); see point-2/seed-2.log"
     );
     browser.element("#sweep tr:first-child input").click();
-    assert_eq!(browser.run(&format!("return {n_curves}")), 1);
+    browser.until(&format!("{n_curves} === 1"));
     browser.element("#sweep input[value=iqm]").click();
     assert!(browser.text("#sweep caption").contains("interquartile mean"));
     browser.until("location.search === '?curves=2&average=iqm'");
