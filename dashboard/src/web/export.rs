@@ -100,11 +100,19 @@ impl Copy<'_> {
     async fn run(&mut self, base: &str, goals: &[BlueprintId]) -> anyhow::Result<()> {
         let mut about: Value = serde_json::from_slice(&self.ask(&format!("{base}/api/about")).await?.1)?;
         let mut recorded = Vec::new();
+        // Empty if nothing can play.
+        let snapshots = self.ask(&format!("{base}/api/snapshots")).await?.1;
+        self.write(&format!("{base}/api/snapshots.json"), &snapshots)?;
+        let snapshots: Value = serde_json::from_slice(&snapshots)?;
+        let snapshots = snapshots["snapshots"].as_array().into_iter().flatten();
+        let snapshots = snapshots.map(|n| (format!("agent=policy&snapshot={n}"), format!("policy-{n}")));
+        let agents = AGENTS.into_iter().map(|agent| (format!("agent={agent}"), agent.to_owned()));
+        let builders: Vec<_> = agents.chain(snapshots).collect();
         for goal in goals.iter().filter(|_| about["can_play"] == true) {
             let mut has_all = true;
-            for agent in AGENTS {
-                let question = format!("{base}/api/play?blueprint={goal}&agent={agent}");
-                has_all &= self.take(&question, &format!("{base}/api/play/{goal}-{agent}.json")).await?;
+            for (query, name) in &builders {
+                let question = format!("{base}/api/play?blueprint={goal}&{query}");
+                has_all &= self.take(&question, &format!("{base}/api/play/{goal}-{name}.json")).await?;
             }
             recorded.extend(has_all.then(|| goal.to_string()));
         }

@@ -1,7 +1,7 @@
 // Which of a run's weights build: those of the page, or a snapshot from earlier in the run.
 
 import { count, percent } from "./format.js";
-import { answerAt, isCopy, model } from "./model.js";
+import { answerAt, model } from "./model.js";
 
 /** @import { Acting, Pass } from "./types" */
 
@@ -74,7 +74,7 @@ export class Snapshots {
 
   /** Asks which snapshots there are. */
   async learn() {
-    if (isCopy || !model.about?.can_play) return;
+    if (!model.about?.can_play) return;
     try {
       const answer = await fetch(answerAt(model.base, "snapshots"));
       if (answer.ok) this.all = (await answer.json()).snapshots;

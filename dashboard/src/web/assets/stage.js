@@ -284,7 +284,10 @@ export class Stage {
    */
   request(builder) {
     const { signal } = this.gone;
-    if (isCopy) return fetch(answerAt(model.base, "play", `${this.chosen}-${builder.agent}`), { signal });
+    if (isCopy) {
+      const weights = builder.weights === null ? "" : `-${builder.weights}`;
+      return fetch(answerAt(model.base, "play", `${this.chosen}-${builder.agent}${weights}`), { signal });
+    }
     if (this.drawn) return fetch(`${model.base}/api/play?${this.wishes(builder)}`, { method: "POST", body: this.drawn.file, signal });
     return fetch(`${model.base}/api/play?${this.wishes(builder)}`, { signal });
   }
