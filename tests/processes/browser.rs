@@ -131,7 +131,7 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     let is_told = |pass: &Pass| {
         let success = pass.blueprints[0].greedy.success;
         let words = format!("{} of {} episodes ({})", success.n_successes, success.n_episodes, percent(success.rate));
-        told.starts_with("2_000, train, 2 blocks, after ") && told.ends_with(&words)
+        told.starts_with("5_001, train, 5 blocks, after ") && told.ends_with(&words)
     };
     assert!(watched.passes().iter().any(is_told), "{told}");
     browser.until("document.querySelectorAll('#health .spark').length >= 6");
@@ -417,7 +417,7 @@ fn a_video_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
     browser.element("#videos figure:first-child button").click();
     browser.until("!document.querySelector('#replay-player').hidden");
     browser.run("replay.play(false)");
-    assert!(browser.text("#replay-note").contains(" (2_000), "), "{}", browser.text("#replay-note"));
+    assert!(browser.text("#replay-note").contains(" (5_001), "), "{}", browser.text("#replay-note"));
     let picture = || browser.run("return document.querySelector('#replay').toDataURL()");
     let choose = |eye: &str| {
         browser.run(&format!(
@@ -433,13 +433,13 @@ fn a_video_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
     browser.element("#replay-ghost").click();
     let plain = picture();
     assert_ne!(plain, with_goal);
-    // One row for each of the two blocks and one for all others, and one column per scene.
+    // One row for each of the five blocks and one for all others, and one column per scene.
     let shaded = choose("layer 1, head 1");
     assert_ne!(shaded, plain);
     assert_ne!(choose("gripper 2"), plain);
     let cells = browser.run("return document.querySelectorAll('#replay-strip rect').length").as_u64().unwrap();
     let n_scenes = browser.run("return Number(document.querySelector('#replay-slider').max) + 1").as_u64().unwrap();
-    assert_eq!(cells, 3 * (n_scenes + 1));
+    assert_eq!(cells, 6 * (n_scenes + 1));
     assert_eq!(choose("off"), plain);
     assert_eq!(browser.run("return document.querySelector('#replay-strip').hidden"), true);
     assert_eq!(watched.complaints(), Vec::<Value>::new());

@@ -9,13 +9,14 @@ use crate::support::judges::{python, told_by};
 use crate::support::program::{finished, lodestone, refused};
 use crate::support::served::{Process, page};
 
-/// Settings small enough to run in seconds, with goals that lack only one block, so that some episodes succeed.
-const SMALL: [&str; 6] = [
+/// Settings small enough to run in seconds, with a goal that an untrained policy builds in some episodes.
+const SMALL: [&str; 7] = [
     "--preset=smoke",
     "--set=learner.batch_size=256",
     "--set=learner.minibatch_size=256",
     "--set=actor.n_worlds=8",
     "--set=evaluator.selection.blueprints=[\"2_000\"]",
+    "--set=evaluator.selection.sizes=[2,2]",
     "--set=evaluator.episodes.n_episodes=4",
 ];
 

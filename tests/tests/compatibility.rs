@@ -13,7 +13,7 @@ use proto::codec::MAX_PARAMETERS;
 const NETWORK_HASHES: [(&str, u64); 4] = [
     ("quickstart", 0x5d69_b2da_362c_296d),
     ("laptop", 0xcd55_5783_5718_686c),
-    ("smoke", 0xac3a_261a_cc35_e7ca),
+    ("smoke", 0x2470_05f8_8989_b13d),
     ("paper", 0xb361_4ee6_7daf_7b79),
 ];
 

@@ -5,9 +5,7 @@ mod physical;
 mod show;
 mod table;
 
-use std::fs::OpenOptions;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
 use blueprints::checks::{CheckResult, Report, check_all};
@@ -16,6 +14,7 @@ use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use serde::Serialize;
 
 use super::common;
+use super::files::write_new;
 use crate::cli::{BlueprintsArgs, BlueprintsCommand, CheckArgs};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -103,7 +102,7 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     if let (Some((path, text)), Some(report)) = (written, reports.first())
         && report.blueprint.is_ok()
     {
-        write(path, report.completed.as_ref().unwrap_or(text))?;
+        write_new(path, report.completed.as_ref().unwrap_or(text))?;
         terminal.on_stderr().print(&format!("the whole of it is in {}", path.display()));
     }
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
@@ -111,13 +110,6 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
         0 => Ok(()),
         _ => Err(Failure::Blueprints { n_failed, n_files: reports.len() }),
     }
-}
-
-/// Writes a blueprint file; never replaces an existing one.
-fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    let failed = |error| Failure::BlueprintFile { path: path.to_owned(), error };
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
-    file.write_all(text.as_bytes()).map_err(failed)
 }
 
 /// The files of all paths, or the built-in ones.

@@ -11,6 +11,7 @@ use crate::config::Override;
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{Origin, check_run};
+use crate::shell;
 
 /// Where the run starts; prints a note if the given preset or file is ignored, or if there is no checkpoint to resume.
 ///
@@ -59,4 +60,10 @@ pub(super) async fn join_bus(config: &Valid<BusConfig>, shutdown: &CancellationT
         () = shutdown.cancelled() => Ok(None),
         bus = Bus::open(config) => bus.map(Some),
     }
+}
+
+/// The command that serves the page of these runs.
+pub(super) fn serve_command(folders: &[PathBuf]) -> String {
+    let words = folders.iter().map(|folder| shell::path(folder));
+    [shell::program(), "serve".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }

@@ -1,10 +1,12 @@
 //! Writes the output files of commands.
 
-use std::fs;
+use std::fs::{self, OpenOptions};
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
 
+use crate::exit::Failure;
 use crate::replace::{PLAIN, replace};
 
 /// Name and content of a file.
@@ -21,4 +23,14 @@ pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) 
         replace(&path, bytes, PLAIN).with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(())
+}
+
+/// Writes a blueprint file; never replaces an existing one.
+///
+/// # Errors
+/// Names the file if it exists or cannot be written.
+pub(super) fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
+    let failed = |error| Failure::BlueprintFile { path: path.to_owned(), error };
+    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
+    file.write_all(text.as_bytes()).map_err(failed)
 }

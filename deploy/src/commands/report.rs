@@ -10,9 +10,9 @@ use runlog::series::{Difference, Grid, common_rates, lineage};
 use runlog::{History, Pass, RunPaths};
 use serde_json::json;
 
+use super::common::serve_command;
 use super::files::{File, write_files};
 use super::names::{name, names};
-use super::serve;
 use super::sweep::{self, Results};
 use crate::cli::ReportArgs;
 use crate::exit::Failure;
@@ -70,7 +70,7 @@ fn tell(args: &ReportArgs, table: &str, written: &[String], terminal: &Terminal)
         terminal.print(&format!("  {path}"));
     }
     let runs: Vec<PathBuf> = [&args.run].into_iter().chain(&args.minus).chain(&args.beside).cloned().collect();
-    terminal.print(&format!("heat map and curves: {}", serve::command(&runs)));
+    terminal.print(&format!("heat map and curves: {}", serve_command(&runs)));
 }
 
 /// The report of a sweep, all of whose runs that are done are in its curves.

@@ -15,6 +15,7 @@ use runlog::{History, RunPaths};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::common::serve_command;
 use super::goals::Goals;
 use super::models::Source;
 use super::names::names;
@@ -25,7 +26,6 @@ use crate::config::{Base, Config, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_run, origin_of, preset_of};
-use crate::shell;
 
 /// Maximum number of runs of a sweep that can be looked at one by one; all are kept in memory.
 const MAX_RUNS: usize = 60;
@@ -45,7 +45,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     };
     let sweep = sweep.map(|results| serde_json::to_value(results.without_paths()));
     let sweep = sweep.transpose().map_err(anyhow::Error::from)?;
-    let farewell = Farewell { ended: "the program", command: Some(command(&args.runs)) };
+    let farewell = Farewell { ended: "the program", command: Some(serve_command(&args.runs)) };
     let mut runs = folders.iter().zip(names).map(|(folder, name)| finished(folder, name, farewell.clone()));
     let mut first = runs.next().context("no run was named")??;
     let others = runs.collect::<Result<Vec<_>, _>>()?;
@@ -67,12 +67,6 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     terminal.print(&format!("page at http://{}\nCtrl-C ends", page.address()));
     page.show(Finished { first, others, sweep }, shutdown).await?;
     Ok(())
-}
-
-/// The command that serves the page of these runs.
-pub(super) fn command(folders: &[PathBuf]) -> String {
-    let words = folders.iter().map(|folder| shell::path(folder));
-    [shell::program(), "serve".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
 }
 
 /// The blueprints to record episodes of for a static copy: the named ones, those that the run was given, or the first

@@ -19,8 +19,9 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
+use super::common::{join_bus, serve_command};
 use super::stage::stage;
-use super::{best, common::join_bus, models, serve};
+use super::{best, models};
 use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
@@ -125,7 +126,7 @@ pub(super) async fn run_evaluator(
     let setup = evaluator_setup(config, id, args.run_dir.as_deref());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
     let opened = page(web(config), terminal).await?;
-    let command = args.run_dir.clone().map(|run_dir| serve::command(&[run_dir]));
+    let command = args.run_dir.clone().map(|run_dir| serve_command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };
     let page =
         opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None, run: None });

@@ -5,6 +5,7 @@ mod curves;
 mod plan;
 mod pool;
 mod results;
+mod scores;
 mod statistics;
 mod tables;
 
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use tokio_util::sync::CancellationToken;
 
-use super::serve;
+use super::common::serve_command;
 use crate::cli::SweepArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -69,7 +70,7 @@ pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: Cancell
         terminal.print(&format!("\n{}", results.markdown().trim_end()));
     }
     if results.done(1).is_ok() {
-        said.print(&format!("page with curves: {}", serve::command(std::slice::from_ref(&folder))));
+        said.print(&format!("page with curves: {}", serve_command(std::slice::from_ref(&folder))));
     }
     match results.n_missing() {
         (0, 0) => Ok(()),

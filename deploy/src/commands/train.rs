@@ -21,11 +21,11 @@ use tokio::sync::{oneshot, watch};
 use tokio::task::{JoinError, JoinHandle, JoinSet};
 use tokio_util::sync::CancellationToken;
 
-use super::common::{configure, join_bus, json, origin};
+use super::common::{configure, join_bus, json, origin, serve_command};
 use super::goals::{TrainingGoals, tell_choices};
 use super::in_process::InProcess;
 use super::runtime::on_runtime;
-use super::{serve, services};
+use super::services;
 use crate::cli::{Settings, TrainArgs};
 use crate::config::{Config, Override, Preset};
 use crate::exit::Failure;
@@ -160,7 +160,7 @@ async fn prepare(
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, origin)?;
     let preset = run_dir.preset().map(str::to_owned);
-    let last_words = Farewell { ended: "the run", command: Some(serve::command(&[run_dir.path().to_owned()])) };
+    let last_words = Farewell { ended: "the run", command: Some(serve_command(&[run_dir.path().to_owned()])) };
     let origin = origin_of(&RunPaths::new(run_dir.path()), config);
     let about = About { preset, origin, ..services::about(settings, catalog, last_words) };
     let page = page.map(|page| services::Opened { page, about, first: None, run: None });

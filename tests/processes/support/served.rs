@@ -31,6 +31,7 @@ pub(crate) fn train(command: &mut Command) -> &mut Command {
         "learner.batch_size=256",
         "actor.n_worlds=8",
         "evaluator.episodes.n_episodes=2",
+        "evaluator.episodes.acting=[\"greedy\"]",
         "policy.network.width=16",
         "policy.network.value_hidden=[16]",
     ] {

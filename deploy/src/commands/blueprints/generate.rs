@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use blueprints::generator::{Request, generate_many};
 use blueprints::{Blueprint, Catalog};
 
-use super::write;
 use crate::cli::GenerateArgs;
+use crate::commands::files::write_new;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -29,7 +29,7 @@ pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failur
     fs::create_dir_all(&args.out).map_err(failed)?;
     for (blueprint, path) in made.iter().zip(&paths) {
         let request = Request::from_id(blueprint.id()).expect("the id of a generated blueprint names its request");
-        write(path, &blueprint.to_toml(&request.provenance()))?;
+        write_new(path, &blueprint.to_toml(&request.provenance()))?;
         terminal.print_rows(&[line(blueprint)]);
     }
     Ok(())

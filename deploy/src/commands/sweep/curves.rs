@@ -5,7 +5,7 @@ use runlog::{History, HistoryError, RunPaths};
 use serde::Serialize;
 
 use super::plan::Run;
-use super::results::{GroupResult, Score, groups, scores};
+use super::scores::{GroupResult, Score, groups, scores};
 
 /// Maximum number of moments of a curve. Each costs a bootstrap for every group.
 const MAX_MOMENTS: usize = 40;

@@ -2,7 +2,8 @@
 
 use proto::ActionMode;
 
-use super::results::{FailedRun, GroupResult, PointResult, Results};
+use super::results::{FailedRun, PointResult, Results};
+use super::scores::GroupResult;
 use super::statistics::Aggregate;
 use crate::commands::files::File;
 use crate::commands::report::tables::{csv, quoted};
@@ -99,7 +100,8 @@ fn row(lead: &[String], of: &GroupResult) -> Vec<String> {
 mod tests {
     use super::super::curves::Moment;
     use super::super::plan::{Plan, PlannedPoint};
-    use super::super::results::{RunResult, Score};
+    use super::super::results::RunResult;
+    use super::super::scores::Score;
     use super::*;
 
     /// Four goals with a mean of 0.375 and, without the lowest and the highest, 0.25.
