@@ -53,7 +53,7 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let watched = ["render", "--connect", &endpoint, "--run", "smoke", "--actor", "local", "--out", "live"];
     finished(lodestone(folder.path()).args(watched).args(["--format", "png-strip", "--timeout", "120"]));
     let [live] = files(&folder.path().join("live")).try_into().unwrap();
-    assert!(live.file_name().unwrap().to_str().unwrap().starts_with("local-01-2_000-"), "{live:?}");
+    assert!(live.file_name().unwrap().to_str().unwrap().starts_with("local-01-5_001-"), "{live:?}");
 
     finished(Command::new("kill").args(["-TERM", &training.0.id().to_string()]));
     assert!(training.0.wait().unwrap().success());
