@@ -32,7 +32,7 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so; the last was the page of a sweep.
 CEILINGS = {
-    "lines of Rust outside lab/": 77_220,
+    "lines of Rust outside lab/": 77_215,
     "of it without tests and comments": 40_410,
     "settings": 115,
     "commands": 18,

@@ -145,7 +145,7 @@ mod tests {
     use crate::toy;
 
     fn segment() -> Trajectory {
-        let mut rollout = SegmentBuilder::new(1, toy::task(), proto::BehaviorPolicy::Sampled);
+        let mut rollout = SegmentBuilder::new(1, toy::task());
         let transition = proto::Transition {
             scene: toy::scene(),
             action: proto::Action { choices: [None; 2], moves: [[0.0; 6]; 16] },

@@ -6,9 +6,7 @@ use blueprints::Catalog;
 use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, Step, VecEnv};
 use policy::{Policy, PolicyConfig, PolicyError};
-use proto::{
-    ActionMode, BehaviorPolicy, CanonicalSettings, Status, Task, Trajectory, Transition, Valid, Weights, WeightsVersion,
-};
+use proto::{ActionMode, CanonicalSettings, Status, Task, Trajectory, Transition, Valid, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
@@ -171,7 +169,7 @@ impl<E: Env> Rollout<E> {
             true
         };
         let task = self.envs.reset(row, task, &setup.catalog, retry)?;
-        let segment = SegmentBuilder::new(setup.segment_len, task, BehaviorPolicy::Sampled);
+        let segment = SegmentBuilder::new(setup.segment_len, task);
         Ok(EnvSlot { task_rng, segment })
     }
 

@@ -23,7 +23,6 @@ pub struct Identity {
 pub struct SegmentBuilder {
     segment_len: usize,
     task: Task,
-    behavior_policy: BehaviorPolicy,
     transitions: Vec<Transition>,
     /// Oldest weights version among the collected steps.
     oldest_version: Option<WeightsVersion>,
@@ -48,13 +47,11 @@ pub enum Cut {
 }
 
 impl SegmentBuilder {
-    /// Creates a builder at the start of an episode of `task` with this behavior policy; `segment_len` is in steps, at
-    /// least 1.
-    pub fn new(segment_len: usize, task: Task, behavior_policy: BehaviorPolicy) -> Self {
+    /// Creates a builder at the start of an episode of `task`; `segment_len` is in steps, at least 1.
+    pub fn new(segment_len: usize, task: Task) -> Self {
         Self {
             segment_len: segment_len.max(1),
             task,
-            behavior_policy,
             transitions: Vec::with_capacity(segment_len),
             oldest_version: None,
             first_step: 0,
@@ -105,7 +102,7 @@ impl SegmentBuilder {
             weights_version: oldest,
             settings_hash: identity.settings_hash,
             task: self.task.clone(),
-            behavior_policy: self.behavior_policy,
+            behavior_policy: BehaviorPolicy::Sampled,
             first_step,
             transitions,
             last_scene: after.clone(),
@@ -135,12 +132,12 @@ mod tests {
 
     /// Pushes steps `(reward, version, status)` into segments of 3 and returns what they complete.
     fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
-        let mut builder = SegmentBuilder::new(3, toy::task(), BehaviorPolicy::Sampled);
+        let mut builder = SegmentBuilder::new(3, toy::task());
         let push = |&(reward, version, status): &(f32, u64, Status)| {
             let version = WeightsVersion(version);
             let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
             if status != Status::Running {
-                builder = SegmentBuilder::new(3, toy::task(), BehaviorPolicy::Sampled);
+                builder = SegmentBuilder::new(3, toy::task());
             }
             cut
         };

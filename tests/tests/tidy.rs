@@ -20,9 +20,7 @@ const LEFTOVERS: [&str; 7] = [
 const SHAKY: [&str; 3] = [concat!("#[ig", "nore"), concat!("should", "_panic"), concat!("thread::", "sleep")];
 
 /// Words that another one has replaced, each with the one to use.
-const REPLACED: [(&str, &str); 12] = [
-    (concat!("burn", "_in"), "warm_start"),
-    (concat!("lead", "_in"), "warm_start"),
+const REPLACED: [(&str, &str); 10] = [
     (concat!("rate", "_rule"), "lr_schedule"),
     (concat!("steps_per", "_update"), "batch_size"),
     (concat!("value", "_coefficient"), "vf_coef"),
