@@ -48,7 +48,7 @@ const NO_REPLY_PAUSE: Duration = Duration::from_millis(250);
 ///
 /// Stepping continues while the learner is away, unless a full backlog pauses it. The run's seed, the actor's name, its
 /// start time, and the version of the first weights determine tasks and actions. Unusable weights are counted, and the
-/// previous ones stay in use. The metrics that go to the bus go to `told` too.
+/// previous ones stay in use. The metrics that go to the bus go to `metrics_sender` too.
 ///
 /// # Errors
 /// If the session fails at the start, the weights are of a run with other settings or for
@@ -56,7 +56,7 @@ const NO_REPLY_PAUSE: Duration = Duration::from_millis(250);
 pub async fn run(
     setup: ActorSetup,
     bus: &Bus,
-    told: watch::Sender<Option<ActorMetrics>>,
+    metrics_sender: watch::Sender<Option<ActorMetrics>>,
     shutdown: CancellationToken,
 ) -> anyhow::Result<Summary> {
     let ActorSetup { config, id, .. } = &setup;
@@ -87,7 +87,7 @@ pub async fn run(
     let reporter = Reporter {
         shared: shared.clone(),
         metrics,
-        told,
+        metrics_sender,
         id: id.clone(),
         epoch,
         n_worlds: (config.n_threads * config.n_worlds) as u64,
@@ -216,7 +216,7 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
 struct Reporter {
     shared: Arc<Shared>,
     metrics: MetricsPublisher,
-    told: watch::Sender<Option<ActorMetrics>>,
+    metrics_sender: watch::Sender<Option<ActorMetrics>>,
     id: ActorId,
     epoch: u64,
     n_worlds: u64,
@@ -256,7 +256,7 @@ impl Reporter {
             if let Err(error) = self.metrics.put(&metrics).await {
                 tracing::debug!(%error, "metrics not published");
             }
-            self.told.send_replace(Some(metrics));
+            self.metrics_sender.send_replace(Some(metrics));
             if !more {
                 return;
             }

@@ -57,7 +57,7 @@ impl Bus {
     /// [`BusError::NameTaken`] if the other process stays, and the errors of [`Self::declare_alive`].
     pub async fn declare_alive_alone(&self, role: Role, id: &str, patience: Duration) -> Result<AliveToken, BusError> {
         let deadline = Instant::now() + patience;
-        let mut told = false;
+        let mut has_warned = false;
         // Under load, a router was seen to answer without a token that it had, so a free name is checked twice.
         while self.is_alive(role, id).await? || self.is_alive(role, id).await? {
             if Instant::now() >= deadline {
@@ -67,7 +67,7 @@ impl Bus {
                 };
                 return Err(BusError::NameTaken { role: role.as_str(), name: id.to_owned(), advice });
             }
-            if !std::mem::replace(&mut told, true) {
+            if !std::mem::replace(&mut has_warned, true) {
                 tracing::warn!(
                     role = role.as_str(),
                     id,

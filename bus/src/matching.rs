@@ -1,14 +1,19 @@
 //! Whether a key has a matching subscriber or queryable.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::sync::watch;
-use zenoh::handlers::RingChannel;
+use tokio::sync::{mpsc, watch};
+use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 use zenoh::query::Querier;
 
 use super::BusError;
 use tokio_util::task::AbortOnDropHandle;
+
+/// Interval between looks at the status without a notification. zenoh compares the status with what the notification
+/// says and drops the notification if they differ; under load the status may follow a moment later.
+const LOOK_PERIOD: Duration = Duration::from_secs(2);
 
 /// Follows the matching status of a querier or publisher.
 #[derive(Debug)]
@@ -17,21 +22,22 @@ pub(super) struct Matching {
     _task: AbortOnDropHandle<()>,
 }
 
-/// Defines the same task for the two zenoh types that have a matching status but no common trait.
+/// Defines the same constructor for the two zenoh types that have a matching status but no common trait.
 macro_rules! follow {
     ($name:ident, $type:ty) => {
         pub(super) async fn $name(entity: Arc<$type>) -> Result<Self, BusError> {
             let failed = || BusError::during(format!("watching who is at {}", entity.key_expr()));
-            // A notification only means that the status changed. Read it again, so that a late notification cannot
-            // overwrite a newer status.
-            let changes = entity.matching_listener().with(RingChannel::new(1)).await.map_err(failed())?;
+            let (notifier, changes) = mpsc::channel(1);
+            let notify = move |_| {
+                // One that waits stands for both.
+                let _ = notifier.try_send(());
+            };
+            let listener = entity.matching_listener().callback(notify).await.map_err(failed())?;
             let now = entity.matching_status().await.map_err(failed())?.matching();
             let (sender, status) = watch::channel(now);
             let task = AbortOnDropHandle::new(tokio::spawn(async move {
-                while changes.recv_async().await.is_ok() {
-                    let Ok(now) = entity.matching_status().await else { return };
-                    sender.send_replace(now.matching());
-                }
+                follow(sender, changes, || Some(entity.matching_status().wait().ok()?.matching())).await;
+                drop(listener);
             }));
             Ok(Self { status, _task: task })
         }
@@ -48,5 +54,41 @@ impl Matching {
 
     pub(super) fn watch(&self) -> watch::Receiver<bool> {
         self.status.clone()
+    }
+}
+
+/// Sends the status after each notification, and when it differs without one, until there are no more of either.
+async fn follow(sender: watch::Sender<bool>, mut changes: mpsc::Receiver<()>, status: impl Fn() -> Option<bool>) {
+    loop {
+        let notified = tokio::time::timeout(LOOK_PERIOD, changes.recv()).await;
+        // A notification only means that the status changed. Read it again, so that a late notification cannot overwrite
+        // a newer status.
+        let Some(now) = status() else { return };
+        match notified {
+            Ok(None) => return,
+            Err(_) if *sender.borrow() == now => {}
+            Ok(Some(())) | Err(_) => drop(sender.send_replace(now)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_change_without_a_notification_is_seen() {
+        let is_there = Arc::new(AtomicBool::new(false));
+        let (sender, mut status) = watch::channel(false);
+        let (_notifier, changes) = mpsc::channel(1);
+        let there = is_there.clone();
+        let _task = AbortOnDropHandle::new(tokio::spawn(async move {
+            follow(sender, changes, || Some(there.load(Ordering::Relaxed))).await;
+        }));
+        is_there.store(true, Ordering::Relaxed);
+        status.changed().await.unwrap();
+        assert!(*status.borrow());
     }
 }

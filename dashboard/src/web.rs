@@ -48,7 +48,7 @@ use board::Board;
 use events::Places;
 use replay::Replays;
 use routes::Shown;
-use runlog::{Pass, RunPaths};
+use runlog::{Evaluation, RunPaths};
 pub use stage::{Builder, Order, Stage, StageError};
 use videos::Videos;
 
@@ -82,7 +82,7 @@ pub struct Page {
 #[derive(Debug)]
 pub struct Source {
     /// All evaluations, starting with those of the history. The page stops when the channel closes.
-    pub passes: mpsc::UnboundedReceiver<Pass>,
+    pub evaluations: mpsc::UnboundedReceiver<Evaluation>,
     /// The newest weights. The page shows their attention.
     pub weights: watch::Receiver<Option<Arc<Weights>>>,
     /// Configuration of the policy that the weights belong to.
@@ -112,7 +112,7 @@ pub struct FinishedRun {
     /// Summary of the run.
     pub about: About,
     /// Its evaluations in order.
-    pub passes: Vec<Pass>,
+    pub evaluations: Vec<Evaluation>,
     /// The learner's metrics of its updates, in order.
     pub learner: Vec<LearnerMetrics>,
     /// Its directory, for its videos.
@@ -172,13 +172,13 @@ impl Page {
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
         let (its_board, its_bus, its_shutdown) = (board.clone(), bus.clone(), shutdown.clone());
         let follower = tokio::spawn(async move {
-            follow(&its_bus, Instant::now(), &its_shutdown, |news, now| its_board.told(news, now)).await
+            follow(&its_bus, Instant::now(), &its_shutdown, |news, now| its_board.receive(news, now)).await
         });
         let mut beat = tokio::time::interval(BEAT);
         loop {
             tokio::select! {
-                pass = source.passes.recv() => match pass {
-                    Some(pass) => board.evaluated(&pass),
+                evaluation = source.evaluations.recv() => match evaluation {
+                    Some(evaluation) => board.evaluated(&evaluation),
                     None => break,
                 },
                 _ = beat.tick() => board.beat(),
@@ -240,7 +240,7 @@ impl Finished {
 impl FinishedRun {
     fn into_shown(self) -> Shown {
         let board = Arc::new(Board::default());
-        self.passes.iter().for_each(|pass| board.evaluated(pass));
+        self.evaluations.iter().for_each(|evaluation| board.evaluated(evaluation));
         self.learner.iter().for_each(|learner| board.learned(learner));
         let (_, weights) = watch::channel(self.weights);
         let replays = Arc::new(Replays::new(Observer::new(self.policy, weights), self.about.catalog.clone()));

@@ -54,7 +54,7 @@ def main():
     parser.add_argument("--run", default="*", help="name of the run (`bus.run`, or the preset); all by default")
     parser.add_argument("--keys", metavar="DIR", type=pathlib.Path, help="folder of the role viewer, or of all roles, for quic/…")
     parser.add_argument("--once", action="store_true", help="print the first complete summary as JSON and end")
-    parser.add_argument("--history", action="store_true", help="print all passes so far as JSON and end")
+    parser.add_argument("--history", action="store_true", help="print all evaluations so far as JSON and end")
     args = parser.parse_args()
 
     config = zenoh.Config()

@@ -104,7 +104,7 @@ mod tests {
     #[test]
     fn the_verdict_is_on_the_split_and_the_actions_that_are_asked_for_as_far_as_there_are_any() {
         use ActionMode::{Greedy, Sampled};
-        let told = |usual: &[&str], episodes: &[(&str, ActionMode, bool)]| {
+        let summary = |usual: &[&str], episodes: &[(&str, ActionMode, bool)]| {
             let usual: Vec<_> = usual.iter().map(|id| goal(id).clone()).collect();
             Verdict::of(&BestConfig::default(), &usual, &report(episodes)).to_string()
         };
@@ -117,11 +117,11 @@ mod tests {
             (all[1], Sampled, true),
             (all[2], Sampled, false),
         ];
-        assert_eq!(told(&all, &episodes), "50.0 % of 2 sampled episodes of 1 goals (validation)");
-        assert_eq!(told(&all[1..], &episodes), "100.0 % of 1 sampled episodes of 1 goals (train)");
+        assert_eq!(summary(&all, &episodes), "50.0 % of 2 sampled episodes of 1 goals (validation)");
+        assert_eq!(summary(&all[1..], &episodes), "100.0 % of 1 sampled episodes of 1 goals (train)");
         // Goals of the last evaluation alone do not count.
-        assert_eq!(told(&all[2..], &episodes), "0.0 % of 1 sampled episodes of 1 goals (all)");
-        assert_eq!(told(&all, &episodes[2..3]), "100.0 % of 1 greedy episodes of 1 goals (validation)");
+        assert_eq!(summary(&all[2..], &episodes), "0.0 % of 1 sampled episodes of 1 goals (all)");
+        assert_eq!(summary(&all, &episodes[2..3]), "100.0 % of 1 greedy episodes of 1 goals (validation)");
     }
 
     #[test]

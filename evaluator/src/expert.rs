@@ -112,8 +112,8 @@ pub fn evaluate_expert_followed(
     let sequences: Vec<Vec<EpisodeSpec>> = blueprints.iter().map(|blueprint| sequence(blueprint)).collect();
     let (diaries, tally) = (Diaries::default(), Tally::default());
     let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-    let told = Both(&tally, follower);
-    let observer = Some(&Both(&diaries, &told));
+    let progress = Both(&tally, follower);
+    let observer = Some(&Both(&diaries, &progress));
     let pool = EvaluationPool { setup, agent: &agent, observer, progress: None, keep_going: follower.keep_going };
     let runs = |config| reset_free::evaluate(&pool, config, &[ActionMode::Greedy]);
     let (episodes, ended) = pool.run(&sequences, ActionMode::Greedy);

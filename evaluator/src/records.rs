@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use proto::metrics::{EvalOutcome, EvalReport};
 use proto::{ActionMode, Role, keys};
-use runlog::{History, HistoryError, Lines, MetricsWriter, Pass, RunPaths, WriteError};
+use runlog::{Evaluation, History, HistoryError, Lines, MetricsWriter, RunPaths, WriteError};
 
 /// The open record files. Writing can fail for a while, because the disk is full or because another program reads the
 /// history; neither ends a run.
@@ -14,7 +14,7 @@ pub(crate) struct Records {
     /// Reports that the metrics do not have yet, oldest first.
     unwritten: VecDeque<Unwritten>,
     /// Rows that the history does not have yet, oldest first.
-    waiting: VecDeque<Pass>,
+    waiting: VecDeque<Evaluation>,
 }
 
 /// What the metrics do not have yet of a report.
@@ -33,7 +33,7 @@ impl Records {
     }
 
     /// Writes a report, whose history row is `row`. A failure is logged; both then wait for the next call.
-    pub(crate) fn keep(&mut self, report: &EvalReport, row: Pass) {
+    pub(crate) fn keep(&mut self, report: &EvalReport, row: Evaluation) {
         match lines(report) {
             Ok(lines) => {
                 let (n_env_steps, scalars) = (report.summary.n_env_steps, scalars(report));
@@ -135,7 +135,7 @@ mod tests {
         };
         let keep = |records: &mut Records, version| {
             let report = summarize(WeightsVersion(version), 100 * version, std::slice::from_ref(&episode));
-            records.keep(&report, Pass::new(&report, version));
+            records.keep(&report, Evaluation::new(&report, version));
         };
         keep(&mut records, 1);
         // A folder where SQLite needs a file makes it fail, as a full disk would.
@@ -148,7 +148,9 @@ mod tests {
         std::fs::remove_dir(&journal).unwrap();
         records.catch_up().unwrap();
         drop(records);
-        let versions = |passes: Vec<Pass>| passes.iter().map(|pass| pass.n_env_steps).collect::<Vec<_>>();
+        let versions = |evaluations: Vec<Evaluation>| {
+            evaluations.iter().map(|evaluation| evaluation.n_env_steps).collect::<Vec<_>>()
+        };
         assert_eq!(versions(History::read(&paths.history()).unwrap()), [100, 200, 300]);
         let n_lines = || std::fs::read_to_string(paths.metrics()).unwrap().lines().count();
         assert_eq!(n_lines(), 6, "a summary and a blueprint for each evaluation");

@@ -10,8 +10,8 @@ use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use policy::Policy;
 use proto::metrics::{EvalBlueprint, EvalReport};
 use proto::{ActionMode, Role, Weights, WeightsVersion, keys};
-use runlog::overview::Passes;
-use runlog::{History, Pass, RunPaths};
+use runlog::overview::Evaluations;
+use runlog::{Evaluation, History, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -36,7 +36,7 @@ pub struct Listeners {
     /// The newest report. If an evaluation is interrupted, an incomplete report of the episodes so far.
     pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
     /// Every evaluation: first those in the history, then each new one as it ends.
-    pub evaluations: Option<mpsc::UnboundedSender<Pass>>,
+    pub evaluations: Option<mpsc::UnboundedSender<Evaluation>>,
     /// Progress of the current evaluation; `None` between evaluations.
     pub progress: Option<watch::Sender<Option<EvaluationProgress>>>,
     /// The weights of every complete evaluation with the verdict on them.
@@ -87,8 +87,8 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     let subscriber = bus.weights_subscriber().await?;
     let usable = listeners.weights.unwrap_or_else(|| watch::channel(None).0);
     let (weights, _validation) = validated(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
-    let mut evaluations = Passes::default();
-    let last = history.last().and_then(|pass| Evaluated::before(pass, &setup, &selected));
+    let mut evaluations = Evaluations::default();
+    let last = history.last().and_then(|evaluation| Evaluated::before(evaluation, &setup, &selected));
     for evaluation in history {
         evaluations.push(&evaluation);
         tell(listeners.evaluations.as_ref(), evaluation);
@@ -118,14 +118,14 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
 }
 
 /// Sends an evaluation to the listener, which may be gone.
-fn tell(listener: Option<&mpsc::UnboundedSender<Pass>>, evaluation: Pass) {
+fn tell(listener: Option<&mpsc::UnboundedSender<Evaluation>>, evaluation: Evaluation) {
     if let Some(listener) = listener {
         let _ = listener.send(evaluation);
     }
 }
 
 /// Reads the evaluations that are already recorded.
-async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Pass>> {
+async fn past(records: Option<&RunPaths>) -> anyhow::Result<Vec<Evaluation>> {
     let Some(path) = records.map(RunPaths::history).filter(|path| path.is_file()) else {
         return Ok(Vec::new());
     };
@@ -197,12 +197,12 @@ async fn evaluate_all(
 /// Destinations of reports.
 struct Outlets<'r> {
     records: Option<Records>,
-    evaluations: Passes,
+    evaluations: Evaluations,
     publishers: Publishers<'r>,
     /// The newest complete report of this process.
     last: Option<EvalReport>,
     reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
-    listener: Option<mpsc::UnboundedSender<Pass>>,
+    listener: Option<mpsc::UnboundedSender<Evaluation>>,
     evaluated: Option<mpsc::UnboundedSender<Scored>>,
     progress: Option<watch::Sender<Option<EvaluationProgress>>>,
     videos: Option<&'r VideoRecorder>,
@@ -250,7 +250,7 @@ impl Outlets<'_> {
     }
 
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
-        let evaluation = Pass::new(&report, unix_ms());
+        let evaluation = Evaluation::new(&report, unix_ms());
         tell(self.listener.as_ref(), evaluation.clone());
         self.evaluations.push(&evaluation);
         self.publishers.history.set(&self.evaluations.overview())?;
@@ -321,7 +321,7 @@ struct Evaluated {
 impl Evaluated {
     /// Returns the last evaluation of the history, unless it lacks some episodes of the current configuration and must
     /// be repeated.
-    fn before(pass: &Pass, setup: &EvaluatorSetup, selected: &Selected) -> Option<Self> {
+    fn before(evaluation: &Evaluation, setup: &EvaluatorSetup, selected: &Selected) -> Option<Self> {
         let EpisodeConfig { n_episodes, acting, .. } = &setup.config.episodes;
         let n_episodes_of = |score: &EvalBlueprint, acting| match acting {
             ActionMode::Greedy => score.greedy.success.n_episodes,
@@ -330,19 +330,19 @@ impl Evaluated {
         let has = |blueprint: &Blueprint| {
             let of_it = |score: &&EvalBlueprint| score.blueprint == *blueprint.id();
             let has_all = |score| acting.iter().all(|&acting| n_episodes_of(score, acting) == u64::from(*n_episodes));
-            pass.blueprints.iter().find(of_it).is_some_and(has_all)
+            evaluation.blueprints.iter().find(of_it).is_some_and(has_all)
         };
-        let of_pass = pass.reset_free.as_ref().map(|runs| (runs.n_runs, runs.n_goals));
+        let of_evaluation = evaluation.reset_free.as_ref().map(|runs| (runs.n_runs, runs.n_goals));
         let wanted = setup.config.reset_free.as_ref().map(|runs| (runs.n_runs.into(), runs.n_goals.into()));
-        let has_runs = wanted.is_none() || wanted == of_pass;
-        let told_all = pass.seed == setup.seed && has_runs && selected.usual.iter().all(has);
-        let since = unix_ms().saturating_sub(pass.ended_unix_ms) as f64 / 1000.0 + pass.elapsed_s;
+        let has_runs = wanted.is_none() || wanted == of_evaluation;
+        let has_all_results = evaluation.seed == setup.seed && has_runs && selected.usual.iter().all(has);
+        let since = unix_ms().saturating_sub(evaluation.ended_unix_ms) as f64 / 1000.0 + evaluation.elapsed_s;
         let start = Duration::try_from_secs_f64(since).ok().and_then(|since| Instant::now().checked_sub(since));
-        told_all.then(|| Self {
+        has_all_results.then(|| Self {
             // The monotonic clock may have started after that evaluation, for example after a reboot.
             start: start.unwrap_or_else(Instant::now),
-            version: pass.weights_version,
-            n_env_steps: pass.n_env_steps,
+            version: evaluation.weights_version,
+            n_env_steps: evaluation.n_env_steps,
             is_last: selected.last.iter().all(has),
         })
     }

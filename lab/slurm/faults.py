@@ -144,8 +144,8 @@ def success_is_reached(run: Training) -> None:
         queue.slurm("scontrol", "update", f"JobId={job}", "TimeLimit=60")
 
     def has_learned() -> bool:
-        # Two passes, so that the checkpoint a few updates later does not pass or fail by chance over 40 episodes.
-        return run.success(n_passes=2) >= CLEARLY_ENOUGH
+        # Two evaluations, so that the checkpoint a few updates later does not pass or fail by chance over 40 episodes.
+        return run.success(n_evaluations=2) >= CLEARLY_ENOUGH
 
     run.wait("learner and evaluator see success", 400, has_learned)
     shown = run.command("status")

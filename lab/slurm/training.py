@@ -103,11 +103,11 @@ class Training:
     def n_saved_steps(self) -> int:
         return records.saved_steps(self.run_dir)
 
-    def success(self, n_passes: int) -> float:
-        """Returns the lowest success rate in the evaluator's last passes, or 0 if there are too few passes."""
-        passes = records.entries(self.run_dir, "eval/summary")
-        rates = [float(found["all"]["sampled"]["success"]["rate"]) for found in passes]
-        return min(rates[-n_passes:]) if len(rates) >= n_passes else 0.0
+    def success(self, n_evaluations: int) -> float:
+        """Returns the lowest success rate in the evaluator's last evaluations, or 0 if there are too few."""
+        evaluations = records.entries(self.run_dir, "eval/summary")
+        rates = [float(found["all"]["sampled"]["success"]["rate"]) for found in evaluations]
+        return min(rates[-n_evaluations:]) if len(rates) >= n_evaluations else 0.0
 
     def evaluated(self) -> float:
         """Returns the success rate of the run's policy according to `lodestone eval`."""

@@ -42,7 +42,7 @@ pub struct RunOptions {
     /// worlds, results need not depend on time.
     pub source: Box<dyn Source>,
     /// Gets the metrics of every update too.
-    pub told: watch::Sender<Option<LearnerMetrics>>,
+    pub metrics_sender: watch::Sender<Option<LearnerMetrics>>,
     /// Time between attempts while nothing can be saved, for example on a full disk; see [`SAVE_RETRY`](crate::SAVE_RETRY).
     pub save_retry: Duration,
 }
@@ -79,7 +79,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     if let Ok(settings) = outside::read_text(&options.run_dir.config(), MAX_CONFIG_BYTES) {
         records.settings(&settings)?;
     }
-    let RunOptions { setup, run_dir, max_env_steps, source, told, save_retry, .. } = options;
+    let RunOptions { setup, run_dir, max_env_steps, source, metrics_sender, save_retry, .. } = options;
     let output = Output {
         run_dir,
         records,
@@ -89,7 +89,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         batch_size: setup.config.batch_size,
         max_env_steps,
         publications,
-        told,
+        metrics_sender,
         counts: Box::new(move || (counted.counts(), session.counts())),
         shutdown,
         pulse: bus.pulse().clone(),

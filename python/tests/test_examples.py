@@ -77,7 +77,8 @@ class Examples(unittest.TestCase):
             lines = self.run_example("ppo.py", "--steps", "12288", "--metrics", str(metrics)).splitlines()
             learned = learning().curve(metrics)
         self.assertEqual([moment.n_env_steps for moment in learned][-3:], [10240, 11264, 12288])
-        self.assertGreater(learned[-1].success, learned[0].success)
+        # The first of them are means of a few episodes only.
+        self.assertGreater(learned[-1].success, 0.6)
         shares = [re.fullmatch(r"(?:un)?trained, builds (\d+)% of 64 trials", line) for line in (lines[0], lines[-1])]
         before, after = (int(found[1]) if found else -1 for found in shares)
         # 47% and 100%; random picks build two fifths.

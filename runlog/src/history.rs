@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use rusqlite::{Connection, ErrorCode, OpenFlags, TransactionBehavior};
 
-pub use rows::Pass;
+pub use rows::Evaluation;
 pub use schema::SCHEMA_VERSION;
 use schema::{APPLICATION_ID, TABLES};
 
@@ -105,16 +105,16 @@ impl History {
     ///
     /// # Errors
     /// If it cannot be written; the history then stays unchanged.
-    pub fn append(&mut self, pass: &Pass) -> Result<(), HistoryError> {
+    pub fn append(&mut self, evaluation: &Evaluation) -> Result<(), HistoryError> {
         let path = &self.path;
-        rows::append(&mut self.db, pass).map_err(|error| HistoryError::Database { path: path.clone(), error })
+        rows::append(&mut self.db, evaluation).map_err(|error| HistoryError::Database { path: path.clone(), error })
     }
 
     /// Reads all evaluations of the history at `path` in writing order, even while a writer has it open.
     ///
     /// # Errors
     /// If it does not exist, has a newer version, is not a history, or cannot be read.
-    pub fn read(path: &Path) -> Result<Vec<Pass>, HistoryError> {
+    pub fn read(path: &Path) -> Result<Vec<Evaluation>, HistoryError> {
         if !path.is_file() {
             return Err(HistoryError::Missing(path.to_owned()));
         }

@@ -17,6 +17,6 @@ pub mod tensorboard;
 pub mod videos;
 pub mod writer;
 
-pub use history::{History, HistoryError, Pass};
+pub use history::{Evaluation, History, HistoryError};
 pub use paths::RunPaths;
 pub use writer::{Lines, MetricsWriter, WriteError, last_line, lines};

@@ -6,20 +6,20 @@ use proto::metrics::EvalBlueprint;
 use proto::wilson::SuccessRate;
 use serde::Serialize;
 
-use crate::Pass;
+use crate::Evaluation;
 use crate::series::{Row, group_of, group_rates, outcome_of};
 use blueprints::Group;
 use proto::ActionMode;
 
 /// Version of the overview's schema. Within a version, fields are only added.
-pub const SCHEMA_VERSION: u32 = 1;
+pub const SCHEMA_VERSION: u32 = 2;
 
 /// Maximum number of evaluations kept. Above it, every other one is dropped; the newest always stays.
 const MAX_PASSES: usize = 400;
 
 /// The evaluations of a run, with increasing environment steps.
 #[derive(Debug, Default)]
-pub struct Passes {
+pub struct Evaluations {
     kept: Vec<Kept>,
     n_left_out: u64,
 }
@@ -29,7 +29,7 @@ pub struct Passes {
 pub struct Overview<'p> {
     schema_version: u32,
     #[serde(flatten)]
-    passes: PassesView<'p>,
+    evaluations: EvaluationsView<'p>,
 }
 
 /// Number of successes and of episodes.
@@ -81,7 +81,7 @@ struct BlueprintView<'p> {
 
 /// An evaluation as serialized; the counts are in the order of the blueprint table.
 #[derive(Debug, Serialize)]
-struct PassView<'p> {
+struct EvaluationView<'p> {
     #[serde(flatten)]
     head: &'p Head,
     greedy: Vec<Option<Counts>>,
@@ -90,20 +90,20 @@ struct PassView<'p> {
 
 /// All evaluations as serialized.
 #[derive(Debug, Serialize)]
-pub struct PassesView<'p> {
+pub struct EvaluationsView<'p> {
     blueprints: Vec<BlueprintView<'p>>,
     n_left_out: u64,
-    passes: Vec<PassView<'p>>,
+    evaluations: Vec<EvaluationView<'p>>,
 }
 
-impl Passes {
+impl Evaluations {
     /// Adds an evaluation and removes those that it makes obsolete, as in [`lineage`](crate::series::lineage): a run
     /// resumed from an older checkpoint repeats some steps.
-    pub fn push(&mut self, pass: &Pass) {
-        while self.kept.last().is_some_and(|last| last.head.n_env_steps >= pass.n_env_steps) {
+    pub fn push(&mut self, evaluation: &Evaluation) {
+        while self.kept.last().is_some_and(|last| last.head.n_env_steps >= evaluation.n_env_steps) {
             self.kept.pop();
         }
-        self.kept.push(Kept::new(pass));
+        self.kept.push(Kept::new(evaluation));
         if self.kept.len() > MAX_PASSES {
             let n_before = self.kept.len();
             let mut place = n_before;
@@ -122,7 +122,7 @@ impl Passes {
 
     /// Returns successes and episodes of the newest evaluation, as `(blueprint, action mode, counts)`.
     pub fn newest(&self) -> impl Iterator<Item = (&Row, ActionMode, Counts)> {
-        let rates = self.kept.last().into_iter().flat_map(|pass| &pass.rates);
+        let rates = self.kept.last().into_iter().flat_map(|evaluation| &evaluation.rates);
         rates.flat_map(|(row, [greedy, sampled])| {
             let both = [(ActionMode::Greedy, *greedy), (ActionMode::Sampled, *sampled)];
             both.into_iter().filter_map(move |(acting, counts)| Some((row, acting, counts?)))
@@ -131,21 +131,25 @@ impl Passes {
 
     /// Returns the overview with its schema version, for the bus.
     pub fn overview(&self) -> Overview<'_> {
-        Overview { schema_version: SCHEMA_VERSION, passes: self.view() }
+        Overview { schema_version: SCHEMA_VERSION, evaluations: self.view() }
     }
 
     /// Returns the overview.
-    pub fn view(&self) -> PassesView<'_> {
-        let mut rows: Vec<&Row> = self.kept.iter().flat_map(|pass| pass.rates.keys()).collect();
+    pub fn view(&self) -> EvaluationsView<'_> {
+        let mut rows: Vec<&Row> = self.kept.iter().flat_map(|evaluation| evaluation.rates.keys()).collect();
         rows.sort();
         rows.dedup();
-        let counts = |pass: &Kept, place: usize| -> Vec<Option<Counts>> {
-            rows.iter().map(|row| pass.rates.get(*row)?[place]).collect()
+        let counts = |evaluation: &Kept, place: usize| -> Vec<Option<Counts>> {
+            rows.iter().map(|row| evaluation.rates.get(*row)?[place]).collect()
         };
-        let passes = self.kept.iter();
-        PassesView {
-            passes: passes
-                .map(|pass| PassView { head: &pass.head, greedy: counts(pass, 0), sampled: counts(pass, 1) })
+        let evaluations = self.kept.iter();
+        EvaluationsView {
+            evaluations: evaluations
+                .map(|evaluation| EvaluationView {
+                    head: &evaluation.head,
+                    greedy: counts(evaluation, 0),
+                    sampled: counts(evaluation, 1),
+                })
                 .collect(),
             blueprints: rows.iter().map(|row| BlueprintView::new(row)).collect(),
             n_left_out: self.n_left_out,
@@ -154,12 +158,12 @@ impl Passes {
 }
 
 impl Kept {
-    fn new(pass: &Pass) -> Self {
+    fn new(evaluation: &Evaluation) -> Self {
         let of = |score: &EvalBlueprint, acting| {
             let success = outcome_of(score, acting)?.success;
             Some([success.n_successes, success.n_episodes])
         };
-        let rates: BTreeMap<Row, [Option<Counts>; 2]> = pass
+        let rates: BTreeMap<Row, [Option<Counts>; 2]> = evaluation
             .blueprints
             .iter()
             .map(|score| {
@@ -167,12 +171,13 @@ impl Kept {
                 (row, [of(score, ActionMode::Greedy), of(score, ActionMode::Sampled)])
             })
             .collect();
-        let (greedy, sampled) = (group_rates(pass, ActionMode::Greedy), group_rates(pass, ActionMode::Sampled));
-        let mut names: Vec<Group> = pass.blueprints.iter().filter_map(group_of).collect();
+        let (greedy, sampled) =
+            (group_rates(evaluation, ActionMode::Greedy), group_rates(evaluation, ActionMode::Sampled));
+        let mut names: Vec<Group> = evaluation.blueprints.iter().filter_map(group_of).collect();
         names.sort();
         names.dedup();
         let group = |group: &Group| {
-            let n_blueprints = pass.blueprints.iter().filter(|score| group_of(score) == Some(*group)).count();
+            let n_blueprints = evaluation.blueprints.iter().filter(|score| group_of(score) == Some(*group)).count();
             let rate = |rates: &BTreeMap<Group, (SuccessRate, usize)>| rates.get(group).map(|(rate, _)| *rate);
             GroupView { name: group.name(), n_blueprints, greedy: rate(&greedy), sampled: rate(&sampled) }
         };
@@ -183,11 +188,11 @@ impl Kept {
         };
         let all = GroupView { name: "all", n_blueprints: rates.len(), greedy: sum(0), sampled: sum(1) };
         let head = Head {
-            ended_unix_ms: pass.ended_unix_ms,
-            elapsed_s: pass.elapsed_s,
-            weights_version: pass.weights_version.0,
-            n_env_steps: pass.n_env_steps,
-            seed: pass.seed,
+            ended_unix_ms: evaluation.ended_unix_ms,
+            elapsed_s: evaluation.elapsed_s,
+            weights_version: evaluation.weights_version.0,
+            n_env_steps: evaluation.n_env_steps,
+            seed: evaluation.seed,
             groups: names.iter().map(group).collect(),
             all,
         };
@@ -209,17 +214,17 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::history::samples::pass;
+    use crate::history::samples::evaluation;
 
     #[test]
     fn overview_matches_a_hand_worked_history() {
-        let mut passes = Passes::default();
-        passes.push(&pass(100, &[("2_003", Split::Train, 2, 0)]));
-        passes.push(&pass(
+        let mut evaluations = Evaluations::default();
+        evaluations.push(&evaluation(100, &[("2_003", Split::Train, 2, 0)]));
+        evaluations.push(&evaluation(
             200,
             &[("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5), ("7_000", Split::Train, 7, 10)],
         ));
-        let view = serde_json::to_value(passes.view()).unwrap();
+        let view = serde_json::to_value(evaluations.view()).unwrap();
         assert_eq!(
             view["blueprints"],
             json!([
@@ -228,11 +233,11 @@ mod tests {
                 { "id": "7_000", "split": "train", "n_blocks": 7, "group": "train 7-11" },
             ])
         );
-        assert_eq!(view["passes"][0]["greedy"], json!([[0, 10], null, null]));
-        assert_eq!(view["passes"][1]["greedy"], json!([[4, 10], [5, 10], [10, 10]]));
-        assert_eq!(view["passes"][1]["sampled"], json!([null, null, null]));
+        assert_eq!(view["evaluations"][0]["greedy"], json!([[0, 10], null, null]));
+        assert_eq!(view["evaluations"][1]["greedy"], json!([[4, 10], [5, 10], [10, 10]]));
+        assert_eq!(view["evaluations"][1]["sampled"], json!([null, null, null]));
         // 9 of 20: z² = 3.8415, center (0.45 + z²/40) / (1 + z²/20) = 0.4581, half width 0.2003.
-        let group = &view["passes"][1]["groups"][0];
+        let group = &view["evaluations"][1]["groups"][0];
         assert_eq!(
             (&group["name"], &group["n_blueprints"], &group["sampled"]),
             (&json!("train 2-6"), &json!(2), &json!(null))
@@ -240,28 +245,28 @@ mod tests {
         assert_eq!((&group["greedy"]["n_successes"], &group["greedy"]["n_episodes"]), (&json!(9), &json!(20)));
         let low = group["greedy"]["wilson_low"].as_f64().unwrap();
         assert!((low - 0.2582).abs() < 5e-4, "{low}");
-        let all = &view["passes"][1]["all"];
+        let all = &view["evaluations"][1]["all"];
         assert_eq!((&all["n_blueprints"], &all["greedy"]["n_successes"]), (&json!(3), &json!(19)));
     }
 
     #[test]
     fn resumed_run_replaces_repeated_evaluations() {
-        let mut passes = Passes::default();
+        let mut evaluations = Evaluations::default();
         for steps in [100, 200, 300, 200] {
-            passes.push(&pass(steps, &[]));
+            evaluations.push(&evaluation(steps, &[]));
         }
-        let kept: Vec<u64> = passes.kept.iter().map(|pass| pass.head.n_env_steps).collect();
+        let kept: Vec<u64> = evaluations.kept.iter().map(|evaluation| evaluation.head.n_env_steps).collect();
         assert_eq!(kept, [100, 200]);
     }
 
     #[test]
     fn many_evaluations_are_thinned_and_the_newest_stays() {
-        let mut passes = Passes::default();
+        let mut evaluations = Evaluations::default();
         for steps in 0..=MAX_PASSES as u64 {
-            passes.push(&pass(steps, &[]));
+            evaluations.push(&evaluation(steps, &[]));
         }
         // Of 401 evaluations, every other one stays, counted from the newest: 400, 398, and so on to 0, 201 in total.
-        assert_eq!((passes.kept.len(), passes.n_left_out), (201, 200));
-        assert_eq!(passes.last().map(|head| head.n_env_steps), Some(400));
+        assert_eq!((evaluations.kept.len(), evaluations.n_left_out), (201, 200));
+        assert_eq!(evaluations.last().map(|head| head.n_env_steps), Some(400));
     }
 }

@@ -6,7 +6,7 @@ use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome};
 use proto::wilson::SuccessRate;
 
-use crate::Pass;
+use crate::Evaluation;
 use blueprints::Group;
 use proto::ActionMode;
 
@@ -45,13 +45,13 @@ pub struct Difference {
 ///
 /// A run resumed from an older checkpoint repeats some steps. The result leaves out the evaluations of the abandoned
 /// weights, and the first evaluation of weights that were evaluated twice.
-pub fn lineage(passes: &[Pass]) -> Vec<&Pass> {
-    let mut kept: Vec<&Pass> = Vec::new();
-    for pass in passes {
-        while kept.last().is_some_and(|last| last.n_env_steps >= pass.n_env_steps) {
+pub fn lineage(evaluations: &[Evaluation]) -> Vec<&Evaluation> {
+    let mut kept: Vec<&Evaluation> = Vec::new();
+    for evaluation in evaluations {
+        while kept.last().is_some_and(|last| last.n_env_steps >= evaluation.n_env_steps) {
             kept.pop();
         }
-        kept.push(pass);
+        kept.push(evaluation);
     }
     kept
 }
@@ -66,12 +66,12 @@ pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutc
 }
 
 /// Returns the success rates of an evaluation by blueprint.
-fn rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
+fn rates(evaluation: &Evaluation, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
     let rate = |score: &EvalBlueprint| {
         let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
         Some((row, outcome_of(score, acting)?.success))
     };
-    pass.blueprints.iter().filter_map(rate).collect()
+    evaluation.blueprints.iter().filter_map(rate).collect()
 }
 
 /// Returns the group of a blueprint; `None` for a size outside the paper's groups.
@@ -80,9 +80,9 @@ pub fn group_of(score: &EvalBlueprint) -> Option<Group> {
 }
 
 /// Returns the success rates of an evaluation by group, with the number of blueprints.
-pub fn group_rates(pass: &Pass, acting: ActionMode) -> BTreeMap<Group, (SuccessRate, usize)> {
+pub fn group_rates(evaluation: &Evaluation, acting: ActionMode) -> BTreeMap<Group, (SuccessRate, usize)> {
     let mut counts: BTreeMap<Group, (u64, u64, usize)> = BTreeMap::new();
-    for score in &pass.blueprints {
+    for score in &evaluation.blueprints {
         if let (Some(group), Some(outcome)) = (group_of(score), outcome_of(score, acting)) {
             let (n_successes, n_episodes, n_blueprints) = counts.entry(group).or_default();
             *n_successes += outcome.success.n_successes;
@@ -104,15 +104,15 @@ pub struct Common {
 
 /// Returns the success rates of runs, each with increasing steps, on their shared blueprints; `None` if they share
 /// none.
-pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: ActionMode) -> Option<Common> {
-    let runs: Vec<Vec<Evaluated>> = runs.map(|passes| evaluated(passes, acting)).collect();
-    let mut passes = runs.iter().flatten();
-    let first = passes.next()?;
+pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Evaluation]>, acting: ActionMode) -> Option<Common> {
+    let runs: Vec<Vec<Evaluated>> = runs.map(|evaluations| evaluated(evaluations, acting)).collect();
+    let mut evaluations = runs.iter().flatten();
+    let first = evaluations.next()?;
     if runs.iter().any(Vec::is_empty) {
         return None;
     }
     let mut common: Vec<&Row> = first.1.keys().collect();
-    passes.for_each(|(_, rates)| common.retain(|row| rates.contains_key(row)));
+    evaluations.for_each(|(_, rates)| common.retain(|row| rates.contains_key(row)));
     let total = |rates: &BTreeMap<Row, SuccessRate>| {
         let of_common = common.iter().filter_map(|row| rates.get(row));
         let (hits, all) = of_common.fold((0, 0), |(h, n), rate| (h + rate.n_successes, n + rate.n_episodes));
@@ -124,10 +124,10 @@ pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Pass]>, acting: Acti
 
 impl Grid {
     /// Builds a grid of the success rates of evaluations with increasing steps; `None` if none used this action mode.
-    pub fn success(passes: &[&Pass], acting: ActionMode) -> Option<Self> {
-        let columns = passes.iter().map(|pass| {
-            let rates = rates(pass, acting).into_iter().map(|(row, rate)| (row, rate.rate)).collect();
-            (pass.n_env_steps, rates)
+    pub fn success(evaluations: &[&Evaluation], acting: ActionMode) -> Option<Self> {
+        let columns = evaluations.iter().map(|evaluation| {
+            let rates = rates(evaluation, acting).into_iter().map(|(row, rate)| (row, rate.rate)).collect();
+            (evaluation.n_env_steps, rates)
         });
         Self::of_columns(columns)
     }
@@ -151,7 +151,7 @@ impl Difference {
     ///
     /// Two evaluations form a column if each is the other's nearest in environment steps. So no evaluation appears
     /// twice, and steps that only one run reached have no column.
-    pub fn new(run: &[&Pass], other: &[&Pass], acting: ActionMode) -> Option<Self> {
+    pub fn new(run: &[&Evaluation], other: &[&Evaluation], acting: ActionMode) -> Option<Self> {
         let (run, other) = (evaluated(run, acting), evaluated(other, acting));
         let mut max_apart = 0;
         let mut columns = Vec::new();
@@ -177,28 +177,28 @@ impl Difference {
 type Evaluated = (u64, BTreeMap<Row, SuccessRate>);
 
 /// Returns steps and success rates of the evaluations with this action mode.
-fn evaluated(passes: &[&Pass], acting: ActionMode) -> Vec<Evaluated> {
-    let all = passes.iter().map(|pass| (pass.n_env_steps, rates(pass, acting)));
+fn evaluated(evaluations: &[&Evaluation], acting: ActionMode) -> Vec<Evaluated> {
+    let all = evaluations.iter().map(|evaluation| (evaluation.n_env_steps, rates(evaluation, acting)));
     all.filter(|(_, rates)| !rates.is_empty()).collect()
 }
 
 /// Returns the evaluation nearest to `steps`; the earlier one if two are equally near.
-fn nearest(passes: &[Evaluated], steps: u64) -> Option<&Evaluated> {
-    passes.iter().min_by_key(|(their_steps, _)| their_steps.abs_diff(steps))
+fn nearest(evaluations: &[Evaluated], steps: u64) -> Option<&Evaluated> {
+    evaluations.iter().min_by_key(|(their_steps, _)| their_steps.abs_diff(steps))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::history::samples::pass;
+    use crate::history::samples::evaluation;
 
     const TWO: (&str, Split, u64) = ("2_000", Split::Train, 2);
     const TEN: (&str, Split, u64) = ("10_000", Split::Train, 10);
 
-    fn passes(scores: &[(u64, u64, Option<u64>)]) -> Vec<Pass> {
+    fn evaluations(scores: &[(u64, u64, Option<u64>)]) -> Vec<Evaluation> {
         let one = |&(steps, two, ten): &(u64, u64, Option<u64>)| {
             let ten = ten.map(|n| (TEN.0, TEN.1, TEN.2, n));
-            pass(steps, &[Some((TWO.0, TWO.1, TWO.2, two)), ten].into_iter().flatten().collect::<Vec<_>>())
+            evaluation(steps, &[Some((TWO.0, TWO.1, TWO.2, two)), ten].into_iter().flatten().collect::<Vec<_>>())
         };
         scores.iter().map(one).collect()
     }
@@ -206,17 +206,23 @@ mod tests {
     #[test]
     fn lineage_of_a_resumed_run_skips_abandoned_evaluations() {
         // Evaluated at 0, 100, 200, 300; resumed from a checkpoint at 150, which repeats 200.
-        let all =
-            passes(&[(0, 0, None), (100, 1, None), (200, 2, None), (300, 3, None), (150, 4, None), (200, 5, None)]);
+        let all = evaluations(&[
+            (0, 0, None),
+            (100, 1, None),
+            (200, 2, None),
+            (300, 3, None),
+            (150, 4, None),
+            (200, 5, None),
+        ]);
         let kept: Vec<(u64, u64)> =
             lineage(&all).iter().map(|p| (p.n_env_steps, p.blueprints[0].greedy.success.n_successes)).collect();
         assert_eq!(kept, [(0, 0), (100, 1), (150, 4), (200, 5)]);
-        assert_eq!(lineage(&[]), [] as [&Pass; 0]);
+        assert_eq!(lineage(&[]), [] as [&Evaluation; 0]);
     }
 
     #[test]
     fn grid_rows_are_sorted_and_gaps_are_none() {
-        let all = passes(&[(0, 0, None), (100, 10, Some(5))]);
+        let all = evaluations(&[(0, 0, None), (100, 10, Some(5))]);
         let grid = Grid::success(&lineage(&all), ActionMode::Greedy).unwrap();
         assert_eq!(grid.rows.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["2_000", "10_000"]);
         assert_eq!(grid.steps, [0, 100]);
@@ -226,8 +232,8 @@ mod tests {
 
     #[test]
     fn difference_pairs_mutually_nearest_evaluations() {
-        let run = passes(&[(0, 0, None), (100, 6, Some(9)), (190, 8, None), (210, 9, None), (900, 9, None)]);
-        let other = passes(&[(5, 1, None), (110, 2, None), (200, 4, Some(0))]);
+        let run = evaluations(&[(0, 0, None), (100, 6, Some(9)), (190, 8, None), (210, 9, None), (900, 9, None)]);
+        let other = evaluations(&[(5, 1, None), (110, 2, None), (200, 4, Some(0))]);
         let found = Difference::new(&lineage(&run), &lineage(&other), ActionMode::Greedy).unwrap();
         // 0 pairs with 5, 100 with 110, and 190 with 200; 210 is as near to 200 but later, and 900 has no partner.
         assert_eq!((found.grid.steps, found.max_apart), (vec![0, 100, 190], 10));
@@ -235,20 +241,20 @@ mod tests {
         assert_eq!(values, [-1.0, 4.0, 4.0]);
         // 10_000 was never evaluated on both sides of a column.
         assert_eq!(found.grid.rows.len(), 1);
-        let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
+        let strange = vec![evaluation(0, &[("3_000", Split::Train, 3, 0)])];
         assert_eq!(Difference::new(&lineage(&run), &lineage(&strange), ActionMode::Greedy), None);
     }
 
     #[test]
     fn common_rates_use_the_shared_blueprints() {
-        let run = passes(&[(0, 0, None), (100, 6, Some(9))]);
-        let other = passes(&[(5, 1, Some(2)), (110, 2, Some(3))]);
+        let run = evaluations(&[(0, 0, None), (100, 6, Some(9))]);
+        let other = evaluations(&[(5, 1, Some(2)), (110, 2, Some(3))]);
         let (run, other) = (lineage(&run), lineage(&other));
         let found = common_rates([&run[..], &other[..]].into_iter(), ActionMode::Greedy).unwrap();
         let rate = |n| SuccessRate::new(n, 10);
         assert_eq!(found.of_runs, [vec![(0, rate(0)), (100, rate(6))], vec![(5, rate(1)), (110, rate(2))]]);
         assert_eq!(found.n_blueprints, 1);
-        let strange = vec![pass(0, &[("3_000", Split::Train, 3, 0)])];
+        let strange = vec![evaluation(0, &[("3_000", Split::Train, 3, 0)])];
         let strange = lineage(&strange);
         assert_eq!(common_rates([&run[..], &strange[..]].into_iter(), ActionMode::Greedy), None);
         assert_eq!(common_rates([&run[..], &[]].into_iter(), ActionMode::Greedy), None);
@@ -256,8 +262,10 @@ mod tests {
 
     #[test]
     fn group_rates_sum_their_blueprints() {
-        let all =
-            [pass(0, &[("2_000", Split::Train, 2, 4), ("3_000", Split::Train, 3, 9), ("10_000", Split::Train, 10, 1)])];
+        let all = [evaluation(
+            0,
+            &[("2_000", Split::Train, 2, 4), ("3_000", Split::Train, 3, 9), ("10_000", Split::Train, 10, 1)],
+        )];
         let found = group_rates(&all[0], ActionMode::Greedy);
         let counted: Vec<_> = found.iter().map(|(g, (rate, n))| (*g, rate.n_successes, rate.n_episodes, *n)).collect();
         assert_eq!(counted, [(Group::Train2To6, 13, 20, 2), (Group::Train7To11, 1, 10, 1)]);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::judges::{python, told_by_script};
+use crate::support::judges::{output_of_script, python};
 use crate::support::program::{finished, lodestone, refused};
 use crate::support::served::Process;
 use serde_json::{Value, json};
@@ -116,7 +116,7 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     let memory = [resident(&ring.router), resident(&learner)];
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/rogue.py");
     let [keys, strangers] = ["keys", "strangers"].map(|name| ring.path(name).display().to_string());
-    let report = told_by_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "smoke"]);
+    let report = output_of_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "smoke"]);
 
     for (who, gets_in) in [
         ("without_keys", false),

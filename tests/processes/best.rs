@@ -6,7 +6,7 @@ use std::process::{Output, Stdio};
 
 use learner::{Checkpoint, Model};
 use runlog::series::outcome_of;
-use runlog::{History, Pass, RunPaths};
+use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
 use crate::support::program::{finished, lodestone, n_saved_steps, printed};
@@ -21,9 +21,9 @@ fn trained(folder: &Path) -> RunPaths {
 }
 
 /// Success of an evaluation with the action mode that counts.
-fn n_successes(pass: &Pass) -> u64 {
+fn n_successes(evaluation: &Evaluation) -> u64 {
     let acting = [proto::ActionMode::Sampled, proto::ActionMode::Greedy];
-    let of = |acting| pass.blueprints.iter().filter_map(move |score| outcome_of(score, acting));
+    let of = |acting| evaluation.blueprints.iter().filter_map(move |score| outcome_of(score, acting));
     let chosen = acting.into_iter().find(|&acting| of(acting).next().is_some()).unwrap();
     of(chosen).map(|outcome| outcome.success.n_successes).sum()
 }
@@ -32,10 +32,10 @@ fn n_successes(pass: &Pass) -> u64 {
 fn a_run_keeps_the_best_policy_of_its_evaluations() {
     let folder = tempfile::tempdir().unwrap();
     let run = trained(folder.path());
-    let passes = History::read(&run.history()).unwrap();
-    let evaluated = passes.iter().filter(|pass| pass.n_env_steps > 0 && n_successes(pass) > 0);
+    let evaluations = History::read(&run.history()).unwrap();
+    let evaluated = evaluations.iter().filter(|evaluation| evaluation.n_env_steps > 0 && n_successes(evaluation) > 0);
     // Of equal ones, this is the last.
-    let best = evaluated.max_by_key(|pass| n_successes(pass)).map(|pass| pass.n_env_steps);
+    let best = evaluated.max_by_key(|evaluation| n_successes(evaluation)).map(|evaluation| evaluation.n_env_steps);
     assert_eq!(Model::read(&run.best()).ok().map(|model| model.weights.n_env_steps), best);
 }
 

@@ -8,7 +8,7 @@ use crate::support::played::{errors, played};
 use crate::support::served::{Process, endless, interrupt, page};
 use crate::support::webdriver::Browser;
 use blueprints::Catalog;
-use runlog::Pass;
+use runlog::Evaluation;
 use runlog::{History, RunPaths};
 use serde_json::{Value, json};
 
@@ -58,7 +58,7 @@ impl Watched {
         Some(Self { browser, line, run, folder })
     }
 
-    fn passes(&self) -> Vec<Pass> {
+    fn evaluations(&self) -> Vec<Evaluation> {
         History::read(&RunPaths::new(self.folder.path().join("run")).history()).unwrap()
     }
 
@@ -118,22 +118,23 @@ fn the_page_shows_what_was_recorded_and_goes_on_by_itself() {
     );
     let shown: Vec<String> = serde_json::from_value(shown).unwrap();
     let version: u64 = shown[0].split(['s', ',']).find_map(|word| word.trim().parse().ok()).unwrap();
-    let pass = watched.passes().into_iter().find(|pass| pass.weights_version.0 == version).unwrap();
-    let success = pass.blueprints[0].greedy.success;
-    assert_eq!((pass.blueprints.len(), success.n_episodes), (1, 2));
+    let evaluation =
+        watched.evaluations().into_iter().find(|evaluation| evaluation.weights_version.0 == version).unwrap();
+    let success = evaluation.blueprints[0].greedy.success;
+    assert_eq!((evaluation.blueprints.len(), success.n_episodes), (1, 2));
     let interval = format!("{} to {}", percent(success.wilson_low), percent(success.wilson_high));
     let expected = ["all", "1", &percent(success.rate), &interval, "2", "–", "–", "–"];
     assert_eq!(shown[1..], expected, "{shown:?}");
 
     // The heat map gives the same numbers to keyboard users.
     browser.element("#heat").press(RIGHT);
-    let told = browser.text("#heat-cell");
-    let is_told = |pass: &Pass| {
-        let success = pass.blueprints[0].greedy.success;
+    let text = browser.text("#heat-cell");
+    let is_shown = |evaluation: &Evaluation| {
+        let success = evaluation.blueprints[0].greedy.success;
         let words = format!("{} of {} episodes ({})", success.n_successes, success.n_episodes, percent(success.rate));
-        told.starts_with("5_001, train, 5 blocks, after ") && told.ends_with(&words)
+        text.starts_with("5_001, train, 5 blocks, after ") && text.ends_with(&words)
     };
-    assert!(watched.passes().iter().any(is_told), "{told}");
+    assert!(watched.evaluations().iter().any(is_shown), "{text}");
     browser.until("document.querySelectorAll('#health .spark').length >= 6");
     browser.until("document.querySelector('#roster').textContent.includes('actor ')");
 

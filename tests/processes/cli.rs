@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::judges::{python, told_by_script};
+use crate::support::judges::{output_of_script, python};
 use crate::support::program::{finished, lodestone, names, printed, refused};
 
 /// Expects this exit code and all of `words` on stderr.
@@ -229,11 +229,13 @@ fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/schema.py");
     let schema = path("schema.json");
     let args: Vec<&str> = [&schema].into_iter().chain(&files).map(String::as_str).collect();
-    let told = told_by_script(&python, &script, &args);
+    let problems = output_of_script(&python, &script, &args);
     for (number, file) in files.iter().enumerate() {
         match wrong.get(number) {
-            Some((text, words)) => assert!(told[file][0].as_str().unwrap().contains(words), "{text}: {}", told[file]),
-            None => assert_eq!(told[file], serde_json::json!([]), "{file}"),
+            Some((text, words)) => {
+                assert!(problems[file][0].as_str().unwrap().contains(words), "{text}: {}", problems[file])
+            }
+            None => assert_eq!(problems[file], serde_json::json!([]), "{file}"),
         }
     }
 }

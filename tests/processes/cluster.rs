@@ -5,7 +5,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::judges::{python, told_by, told_by_script};
+use crate::support::judges::{output_of, output_of_script, python};
 use crate::support::program::{lodestone, n_saved_steps, refused};
 use crate::support::served::Process;
 
@@ -142,7 +142,7 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let _evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
     cluster.learn(["--run-dir", "run"], 2048);
 
-    let told = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--once"]);
+    let summary = output_of(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--once"]);
     let record = |key: &str, file: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
         let recorded = std::fs::read_to_string(cluster.folder.path().join(file)).unwrap();
         let mut lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
@@ -150,24 +150,24 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
         same.as_object_mut().unwrap().remove("key");
         same
     };
-    let version = |line: &serde_json::Value| line["weights_version"] == told["weights_version"];
-    assert_eq!(told, record("eval/summary", "evaluated/metrics.jsonl", &version));
-    assert!(told["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
+    let version = |line: &serde_json::Value| line["weights_version"] == summary["weights_version"];
+    assert_eq!(summary, record("eval/summary", "evaluated/metrics.jsonl", &version));
+    assert!(summary["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
 
-    let history = told_by(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--history"]);
-    let pass = history["passes"].as_array().unwrap().iter().find(|pass| version(pass)).unwrap();
-    assert_eq!(pass["all"]["greedy"], told["all"]["greedy"]["success"]);
+    let history = output_of(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--history"]);
+    let evaluation = history["evaluations"].as_array().unwrap().iter().find(|one| version(one)).unwrap();
+    assert_eq!(evaluation["all"]["greedy"], summary["all"]["greedy"]["success"]);
 
     // Event files store 32-bit floats.
     let same = |number: &serde_json::Value, recorded: &serde_json::Value| {
         assert_eq!(number.as_f64().unwrap() as f32, recorded.as_f64().unwrap() as f32);
     };
     let path = |folder: &str| cluster.folder.path().join(folder).display().to_string();
-    let plotted = told_by(&python, "scalars.py", &[&path("run/tb/learner")]);
+    let plotted = output_of(&python, "scalars.py", &[&path("run/tb/learner")]);
     let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
     let update = record("learner", "run/metrics.jsonl", &|line| line["n_env_steps"] == *step);
     same(entropy, &update["ppo"]["entropy"]);
-    let plotted = told_by(&python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
+    let plotted = output_of(&python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
     let [step, success] = [0, 1].map(|i| &plotted["success-greedy/all"][0][i]);
     let summary = record("eval/summary", "evaluated/metrics.jsonl", &|line| line["n_env_steps"] == *step);
     same(success, &summary["all"]["greedy"]["success"]["rate"]);
@@ -190,8 +190,8 @@ fn trackers_are_told_what_was_recorded() {
         track.stdout(Stdio::piped());
         track
     };
-    let told = |tracker: &str, folder: &Path| {
-        told_by_script(
+    let tracked = |tracker: &str, folder: &Path| {
+        output_of_script(
             &python,
             &repository.join("tests/processes/tracked.py"),
             &[tracker, &folder.display().to_string()],
@@ -221,7 +221,7 @@ fn trackers_are_told_what_was_recorded() {
     }
     assert!(Command::new("kill").args(["-TERM", &listener.0.id().to_string()]).status().unwrap().success());
     assert!(listener.0.wait().unwrap().success());
-    let kept = told("mlflow", &store);
+    let kept = tracked("mlflow", &store);
     assert_eq!(kept["config"]["bus.run"], "smoke");
     assert!(!kept["metrics"]["success-greedy/all"].as_array().unwrap().is_empty());
     let (recorded, logged) = (updates(), kept["metrics"]["learner/ppo/entropy"].as_array().unwrap());
@@ -229,7 +229,7 @@ fn trackers_are_told_what_was_recorded() {
 
     // Track everything that a finished run left behind.
     assert!(track(&["run", "--to", "wandb"]).status().unwrap().success());
-    let kept = told("wandb", cluster.folder.path());
+    let kept = tracked("wandb", cluster.folder.path());
     assert_eq!(kept["config"]["bus"]["run"], "smoke");
     assert_eq!(kept["metrics"]["learner/ppo/entropy"], serde_json::Value::Array(updates()));
 }

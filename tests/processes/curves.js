@@ -4,7 +4,7 @@ const wrong = [];
 const check = (what, holds) => { if (!holds) wrong.push(what); };
 const chart = health.charts.all.get("entropy, nats");
 const press = (key) => chart.place.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
-const told = () => chart.value.textContent;
+const reading = () => chart.value.textContent;
 // uPlot draws, and sets its ends, once the script rests.
 const ends = async () => {
   await new Promise(requestAnimationFrame);
@@ -14,12 +14,12 @@ const ends = async () => {
 };
 const last = (name) => Math.max(...model.beside.flatMap(({ points }) => points.map((point) => point[name])));
 
-check("nothing is pointed at", told() === "");
+check("nothing is pointed at", reading() === "");
 press("ArrowLeft");
-const first = told();
+const first = reading();
 check(`the last value is told, not ${first}`, /^at .* steps$/.test(first) && chart.reading.querySelectorAll(".dot").length === model.beside.length);
 press("ArrowLeft");
-check("the value before it is told", told() !== first);
+check("the value before it is told", reading() !== first);
 const whole = await ends();
 check(`the axis ends at the last step, not at ${whole}`, whole === `0,${last("n_env_steps")}`);
 

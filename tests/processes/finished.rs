@@ -49,9 +49,10 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     let videos: Value = serde_json::from_str(&get(&address, "/api/videos").1).unwrap();
     let recorded = &videos["videos"][0]["weights_version"];
     assert!(recorded.is_u64(), "{videos}");
-    browser
-        .until(&format!("heat.rows.length === 1 && heat.passes.some((pass) => pass.weights_version === {recorded})"));
-    let column = format!("heat.passes.findIndex((pass) => pass.weights_version === {recorded})");
+    browser.until(&format!(
+        "heat.rows.length === 1 && heat.evaluations.some((evaluation) => evaluation.weights_version === {recorded})"
+    ));
+    let column = format!("heat.evaluations.findIndex((evaluation) => evaluation.weights_version === {recorded})");
     browser.run(&format!("heat.move({{ row: 0, column: {column} }}); heat.open()"));
     browser.until("!document.querySelector('#replay-player').hidden");
     assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
@@ -73,10 +74,10 @@ fn a_sweep_is_shown_before_its_runs() {
     std::fs::write(sweep.join("point-2/seed-2.json"), r#"{"state":"failed","status":"exit status: 64"}"#).unwrap();
     finished(lodestone(folder.path()).args(["serve", "sweep", "--export", "copy"]));
     let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "sweep"]));
-    let told = get(&address, "/api/sweep").1;
-    assert_eq!(std::fs::read_to_string(folder.path().join("copy/api/sweep.json")).unwrap(), told);
-    let told: Value = serde_json::from_str(&told).unwrap();
-    assert_eq!(told["points"][1]["failed"][0]["log"], "point-2/seed-2.log");
+    let answer = get(&address, "/api/sweep").1;
+    assert_eq!(std::fs::read_to_string(folder.path().join("copy/api/sweep.json")).unwrap(), answer);
+    let answer: Value = serde_json::from_str(&answer).unwrap();
+    assert_eq!(answer["points"][1]["failed"][0]["log"], "point-2/seed-2.log");
 
     let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
     let browser = Browser::start(&driver, folder.path());

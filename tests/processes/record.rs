@@ -35,8 +35,8 @@ fn an_interrupted_recording_has_whole_episodes() {
     let mut recording = recording.spawn().unwrap();
     let mut lines = BufReader::new(recording.stderr.take().unwrap()).lines().map(Result::unwrap);
     assert!(lines.any(|line| line.contains("an episode was kept")));
-    let told = Command::new("kill").args(["-INT", &recording.id().to_string()]).status().unwrap();
-    assert!(told.success());
+    let status = Command::new("kill").args(["-INT", &recording.id().to_string()]).status().unwrap();
+    assert!(status.success());
     let rest: Vec<String> = lines.collect();
     assert_eq!(recording.wait().unwrap().code(), Some(130), "{rest:?}");
     let played = folder.path().join("played");

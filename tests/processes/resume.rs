@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::judges::{python, told_by};
+use crate::support::judges::{output_of, python};
 use crate::support::program::{finished, lodestone, n_saved_steps, refused};
 use crate::support::served::Process;
 
@@ -67,7 +67,7 @@ fn steps_only_grow_for_readers_of_a_run_that_was_killed() {
         lines.filter(|line| line["key"] == "learner").map(|line| line["n_env_steps"].as_u64().unwrap()).collect();
     assert!(steps.is_sorted_by(|a, b| a < b) && steps.contains(&saved), "{steps:?}, resumed at {saved}");
     let Some(python) = python() else { return };
-    let plotted = told_by(&python, "scalars.py", &[&run.join("tb/learner").display().to_string()]);
+    let plotted = output_of(&python, "scalars.py", &[&run.join("tb/learner").display().to_string()]);
     let plotted: Vec<u64> =
         plotted["learner/update_s"].as_array().unwrap().iter().map(|point| point[0].as_u64().unwrap()).collect();
     assert!(plotted.is_sorted_by(|a, b| a < b) && plotted.contains(&saved), "{plotted:?}, resumed at {saved}");

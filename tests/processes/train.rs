@@ -30,8 +30,8 @@ fn a_run_is_saved_evaluated_and_continued() {
     for file in ["config.toml", "meta.json", "metrics.jsonl", "eval.db"] {
         assert!(run_dir.join(file).is_file(), "{file}");
     }
-    let passes = runlog::History::read(&runlog::RunPaths::new(&run_dir).history()).unwrap();
-    assert_eq!(passes.last().unwrap().n_env_steps, n_steps, "the last weights were evaluated as well");
+    let evaluations = runlog::History::read(&runlog::RunPaths::new(&run_dir).history()).unwrap();
+    assert_eq!(evaluations.last().unwrap().n_env_steps, n_steps, "the last weights were evaluated as well");
 
     let evaluated = finished(
         lodestone(folder.path())

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use crate::support::judges::{python, told_by};
+use crate::support::judges::{output_of, python};
 use crate::support::program::{finished, lodestone, refused};
 use crate::support::served::{Process, page};
 
@@ -81,13 +81,13 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
 
     let Some(python) = python() else { return };
     // 960 × 540 by default. A tenth of a second for every step and for the first scene, and 2 s for the last scene.
-    let told = told_by(&python, "frames.py", &[&videos[0].display().to_string()]);
+    let properties = output_of(&python, "frames.py", &[&videos[0].display().to_string()]);
     let expected = n_steps(&shown, &stem) + 1 + 20;
-    assert_eq!(told, serde_json::json!({ "n_frames": expected, "size": [960, 540], "fps": 10.0 }));
+    assert_eq!(properties, serde_json::json!({ "n_frames": expected, "size": [960, 540], "fps": 10.0 }));
     let made = files(&run.join("videos"));
-    let told = told_by(&python, "frames.py", &[&made[0].display().to_string()]);
-    assert_eq!((&told["size"], &told["fps"]), (&serde_json::json!([640, 360]), &serde_json::json!(20.0)));
-    let pictures = told_by(&python, "pictures.py", &[&run.join("tb/evaluator/videos").display().to_string()]);
+    let properties = output_of(&python, "frames.py", &[&made[0].display().to_string()]);
+    assert_eq!((&properties["size"], &properties["fps"]), (&serde_json::json!([640, 360]), &serde_json::json!(20.0)));
+    let pictures = output_of(&python, "pictures.py", &[&run.join("tb/evaluator/videos").display().to_string()]);
     let (tag, pictures) = pictures.as_object().unwrap().iter().next().unwrap();
     assert!(["train-2-6/success", "train-2-6/failure"].contains(&tag.as_str()), "{tag}");
     let picture = &pictures[0];

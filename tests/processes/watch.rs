@@ -82,7 +82,7 @@ async fn a_run_is_printed_once() {
 }
 
 /// Reads lines until the learner reports this many steps.
-async fn told(mut lines: Lines<BufReader<ChildStdout>>, n_env_steps: u64) -> Lines<BufReader<ChildStdout>> {
+async fn wait_for_steps(mut lines: Lines<BufReader<ChildStdout>>, n_env_steps: u64) -> Lines<BufReader<ChildStdout>> {
     let read = move || loop {
         let known: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
         if known["learner"]["n_env_steps"] == n_env_steps {
@@ -101,11 +101,11 @@ async fn what_is_new_is_told_to_a_program_line_by_line() {
     let mut command = watch_command(folder.path(), &["--run", "default", "--json"]);
     let mut watching = Process(command.stdout(Stdio::piped()).spawn().unwrap());
     let lines = BufReader::new(watching.0.stdout.take().unwrap()).lines();
-    let lines = told(lines, 3_326_976).await;
+    let lines = wait_for_steps(lines, 3_326_976).await;
     learner["n_env_steps"] = json!(3_330_000);
     publisher.put(&learner).await.unwrap();
     // The pipe is closed from here on.
-    drop(told(lines, 3_330_000).await);
+    drop(wait_for_steps(lines, 3_330_000).await);
     learner["n_env_steps"] = json!(3_340_000);
     publisher.put(&learner).await.unwrap();
     let status = tokio::task::spawn_blocking(move || watching.0.wait().unwrap()).await.unwrap();

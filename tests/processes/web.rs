@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::net::{TcpListener, TcpStream};
 
-use crate::support::judges::{python, told_by};
+use crate::support::judges::{output_of, python};
 use crate::support::program::{lodestone, n_saved_steps, printed, refused};
 use crate::support::served::{client, endless, events, get, interrupt, page, train};
 use runlog::{History, RunPaths};
@@ -16,14 +16,14 @@ fn a_page_shows_a_run_while_it_lasts() {
     let (mut run, _printed, address) = endless(folder.path());
     // Read events until an evaluation arrives; every connection that is read to its end waits for the run.
     let mut events = events(&address);
-    assert!(events.any(|line| line == "event: pass"));
+    assert!(events.any(|line| line == "event: evaluation"));
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
 
     assert_eq!(get(&address, "/readyz").0, 200);
     assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
     let history: Value = serde_json::from_str(&get(&address, "/api/history").1).unwrap();
-    assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&1.into(), &"5_001".into()));
-    assert_eq!(history["passes"][0]["all"]["greedy"]["n_episodes"], 2);
+    assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&2.into(), &"5_001".into()));
+    assert_eq!(history["evaluations"][0]["all"]["greedy"]["n_episodes"], 2);
     assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"smoke\",role=\"actor\"} 1.0\n"));
 
     interrupt(&run);
@@ -40,13 +40,13 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let (mut run, mut printed, address) = endless(folder.path());
     let mut events = events(&address);
-    assert!(events.any(|line| line == "event: pass"));
+    assert!(events.any(|line| line == "event: evaluation"));
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
     assert!(events.any(|line| line.contains("\"key\":\"actor/")));
     // The one request that is refused.
     let stranger = client().get(format!("http://{address}/")).header("Host", "evil.example").call().unwrap();
     assert_eq!(stranger.status(), 403);
-    let told = told_by(&python, "scrape.py", &[&format!("http://{address}/metrics")]);
+    let families = output_of(&python, "scrape.py", &[&format!("http://{address}/metrics")]);
     interrupt(&run);
     events.for_each(drop);
     printed.read_to_string(&mut String::new()).unwrap();
@@ -54,7 +54,7 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
 
     // After the run has ended, everything that it measured is on disk.
     let samples = |name: &str, kind: &str| {
-        let family = &told[format!("lodestone_{name}")];
+        let family = &families[format!("lodestone_{name}")];
         assert_eq!(family["type"], kind, "{name}");
         let of = |sample: &Value| {
             let mut labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
@@ -65,9 +65,9 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     };
     let of_all = |name| samples(name, "gauge")["greedy all"];
     let version = samples("eval_weights_version", "gauge")[""];
-    let passes = History::read(&RunPaths::new(folder.path().join("run")).history()).unwrap();
-    let pass = passes.iter().find(|pass| pass.weights_version.0 as f64 == version).unwrap();
-    let success = pass.blueprints[0].greedy.success;
+    let evaluations = History::read(&RunPaths::new(folder.path().join("run")).history()).unwrap();
+    let evaluation = evaluations.iter().find(|evaluation| evaluation.weights_version.0 as f64 == version).unwrap();
+    let success = evaluation.blueprints[0].greedy.success;
     assert_eq!(of_all("eval_group_success_ratio"), success.rate);
     assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
     assert_eq!(samples("eval_group_episodes", "gauge")["greedy train 2-6"], success.n_episodes as f64);

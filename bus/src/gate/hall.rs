@@ -43,7 +43,7 @@ struct State {
     n_arrived: u64,
     counts: JoinCounts,
     /// When a refusal was last told, and how many were not told since.
-    told: Option<Instant>,
+    last_notice: Option<Instant>,
     n_untold: u64,
 }
 
@@ -116,11 +116,11 @@ impl Hall {
     fn turn_away(&self, from: SocketAddr, reason: &str, counter: impl FnOnce(&mut JoinCounts) -> &mut u64) {
         let mut state = self.state.lock();
         *counter(&mut state.counts) += 1;
-        if state.told.is_some_and(|told| told.elapsed() < NOTICE_PERIOD) {
+        if state.last_notice.is_some_and(|notice| notice.elapsed() < NOTICE_PERIOD) {
             state.n_untold += 1;
             return;
         }
-        state.told = Some(Instant::now());
+        state.last_notice = Some(Instant::now());
         let n_others = std::mem::take(&mut state.n_untold);
         drop(state);
         tracing::warn!(%from, reason, n_others, "a connection did not join the bus");

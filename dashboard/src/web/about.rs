@@ -71,12 +71,12 @@ pub(super) fn base(place: usize) -> String {
 pub(super) fn about(about: &About, can_play: bool, runs: &[String], is_of_sweep: bool) -> Value {
     let runs: Vec<Value> =
         runs.iter().enumerate().map(|(place, name)| json!({ "name": name, "base": base(place) })).collect();
-    let mut told = json!(about);
-    told["schema_version"] = 1.into();
-    told["first"] = json!(about.first());
-    told["can_play"] = can_play.into();
-    told["gripper_colors"] = json!(GRIPPER_COLORS);
-    told["runs"] = runs.into();
-    told["is_of_sweep"] = is_of_sweep.into();
-    told
+    let mut answer = json!(about);
+    answer["schema_version"] = 1.into();
+    answer["first"] = json!(about.first());
+    answer["can_play"] = can_play.into();
+    answer["gripper_colors"] = json!(GRIPPER_COLORS);
+    answer["runs"] = runs.into();
+    answer["is_of_sweep"] = is_of_sweep.into();
+    answer
 }

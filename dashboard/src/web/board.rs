@@ -18,8 +18,8 @@ use super::events::{Events, Viewers, event};
 use crate::follow::News;
 use crate::run_view::proposals::CHARTED;
 use crate::run_view::{Link, Roster, RunView, SessionState};
-use runlog::Pass;
-use runlog::overview::{Passes, PassesView, SCHEMA_VERSION};
+use runlog::Evaluation;
+use runlog::overview::{Evaluations, EvaluationsView, SCHEMA_VERSION};
 
 /// Maximum number of remembered metrics keys; enough for the whole catalog and hundreds of actors.
 const MAX_KEYS: usize = 1024;
@@ -41,7 +41,7 @@ pub(super) struct Board(Mutex<State>);
 #[derive(Debug, Default)]
 pub(super) struct State {
     pub(super) run: RunView,
-    pub(super) passes: Passes,
+    pub(super) evaluations: Evaluations,
     points: Points,
     /// The newest event of each key.
     latest: BTreeMap<String, axum::body::Bytes>,
@@ -86,7 +86,7 @@ struct Point(u64, Value);
 struct HistoryView<'b> {
     schema_version: u32,
     #[serde(flatten)]
-    passes: PassesView<'b>,
+    evaluations: EvaluationsView<'b>,
     learner: Vec<&'b Value>,
 }
 
@@ -97,11 +97,11 @@ impl Board {
     }
 
     /// Records an evaluation and notifies browsers to fetch it.
-    pub(super) fn evaluated(&self, pass: &Pass) {
+    pub(super) fn evaluated(&self, evaluation: &Evaluation) {
         let mut state = self.state();
-        state.passes.push(pass);
-        let news = json!({ "weights_version": pass.weights_version, "n_env_steps": pass.n_env_steps });
-        state.publish(&event("pass", &news));
+        state.evaluations.push(evaluation);
+        let news = json!({ "weights_version": evaluation.weights_version, "n_env_steps": evaluation.n_env_steps });
+        state.publish(&event("evaluation", &news));
     }
 
     /// Records a learner update of a finished run.
@@ -110,7 +110,7 @@ impl Board {
     }
 
     /// Records news from the bus and forwards it to browsers.
-    pub(super) fn told(&self, news: News, now: Duration) {
+    pub(super) fn receive(&self, news: News, now: Duration) {
         match news {
             News::Metrics(samples) => samples.into_iter().for_each(|sample| self.measured(sample, now)),
             News::Session(session) => self.joined(&session, now),
@@ -178,7 +178,7 @@ impl Board {
     /// Returns whether there is anything to show.
     pub(super) fn is_ready(&self) -> bool {
         let state = self.state();
-        state.passes.last().is_some() || !state.latest.is_empty()
+        state.evaluations.last().is_some() || !state.latest.is_empty()
     }
 
     /// Returns the response to `/api/history`.
@@ -186,7 +186,7 @@ impl Board {
         let state = self.state();
         serde_json::to_vec(&HistoryView {
             schema_version: SCHEMA_VERSION,
-            passes: state.passes.view(),
+            evaluations: state.evaluations.view(),
             learner: state.points.all(),
         })
     }
@@ -268,10 +268,10 @@ mod tests {
     fn history_counts_the_time_before_a_resume() {
         let board = Board::default();
         let mut learner = samples::learner();
-        board.told(News::Metrics(vec![learner.clone()]), Duration::ZERO);
+        board.receive(News::Metrics(vec![learner.clone()]), Duration::ZERO);
         learner.value["n_env_steps"] = 4_000_000.into();
         learner.value["run_elapsed_s"] = 5000.into();
-        board.told(News::Metrics(vec![learner]), Duration::ZERO);
+        board.receive(News::Metrics(vec![learner]), Duration::ZERO);
         let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
         let points = &history["learner"];
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
@@ -280,7 +280,7 @@ mod tests {
     #[test]
     fn history_has_the_draws_of_the_mixture_head() {
         let board = Board::default();
-        board.told(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
+        board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
         let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
         let point = &history["learner"][0];
         for (name, value) in [("share_hold", 0.2), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
@@ -296,7 +296,7 @@ mod tests {
         let n_updates = 2 * MAX_POINTS as u64 + 7;
         for update in 1..=n_updates {
             learner.value["n_env_steps"] = (100 * update).into();
-            board.told(News::Metrics(vec![learner.clone()]), Duration::ZERO);
+            board.receive(News::Metrics(vec![learner.clone()]), Duration::ZERO);
         }
         let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
         let points = history["learner"].as_array().unwrap();
@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn many_actors_leave_room_for_the_learner_and_the_evaluator() {
         let board = Board::default();
-        let tell = |sample| board.told(News::Metrics(vec![sample]), Duration::ZERO);
+        let tell = |sample| board.receive(News::Metrics(vec![sample]), Duration::ZERO);
         (0..MAX_KEYS).for_each(|i| tell(samples::actor(&format!("a-{i}"))));
         let known = |key: &str| board.state().latest.get(key).cloned();
         let n_dropped = || board.state().counts.samples_dropped_total;

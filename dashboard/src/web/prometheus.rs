@@ -97,8 +97,8 @@ fn build(page: &mut Scrape) {
 }
 
 fn success(page: &mut Scrape, state: &State) {
-    let last = state.passes.last();
-    let groups = last.into_iter().flat_map(|pass| pass.groups.iter().chain([&pass.all]));
+    let last = state.evaluations.last();
+    let groups = last.into_iter().flat_map(|evaluation| evaluation.groups.iter().chain([&evaluation.all]));
     let rates: Vec<(Labels, SuccessRate)> = groups
         .flat_map(|group| {
             let both = [(ActionMode::Greedy, group.greedy), (ActionMode::Sampled, group.sampled)];
@@ -108,22 +108,22 @@ fn success(page: &mut Scrape, state: &State) {
         })
         .collect();
     let of = |number: fn(&SuccessRate) -> f64| rates.iter().map(move |(labels, rate)| (labels.clone(), number(rate)));
-    page.gauges("eval_group_success_ratio", "Success rate of the newest pass by group, 0 to 1", of(|r| r.rate));
+    page.gauges("eval_group_success_ratio", "Success rate of the newest evaluation by group, 0 to 1", of(|r| r.rate));
     let help = "Lower end of the 95 % Wilson interval of the success rate, 0 to 1";
     page.gauges("eval_group_success_wilson_low_ratio", help, of(|r| r.wilson_low));
     let help = "Upper end of the 95 % Wilson interval of the success rate, 0 to 1";
     page.gauges("eval_group_success_wilson_high_ratio", help, of(|r| r.wilson_high));
-    page.gauges("eval_group_episodes", "Episodes of the newest pass by group", of(|r| r.n_episodes as f64));
+    page.gauges("eval_group_episodes", "Episodes of the newest evaluation by group", of(|r| r.n_episodes as f64));
     let blueprint = |(row, acting, [hits, n]): (&runlog::series::Row, ActionMode, [u64; 2])| {
         let names =
             [label("blueprint", row.id.as_str()), label("split", row.split.as_str()), label("acting", acting.name())];
         (names.to_vec(), SuccessRate::new(hits, n).rate)
     };
-    let help = "Success rate of the newest pass by blueprint, 0 to 1";
-    page.gauges("eval_blueprint_success_ratio", help, state.passes.newest().map(blueprint));
-    let version = last.map(|pass| pass.weights_version as f64);
+    let help = "Success rate of the newest evaluation by blueprint, 0 to 1";
+    page.gauges("eval_blueprint_success_ratio", help, state.evaluations.newest().map(blueprint));
+    let version = last.map(|evaluation| evaluation.weights_version as f64);
     page.gauge("eval_weights_version", "Version of the weights evaluated last", version);
-    let steps = last.map(|pass| pass.n_env_steps as f64);
+    let steps = last.map(|evaluation| evaluation.n_env_steps as f64);
     page.gauge("eval_env_steps", "Environment steps that the weights evaluated last had learned from", steps);
 }
 
@@ -296,7 +296,7 @@ mod tests {
     use crate::follow::News;
     use crate::samples;
     use crate::web::board::Board;
-    use crate::web::tests::samples::pass;
+    use crate::web::tests::samples::evaluation;
 
     /// Parses samples by name and labels, without the `run` label. Checks that each is preceded by a type and a help
     /// text.
@@ -336,7 +336,7 @@ mod tests {
     #[test]
     fn draws_of_the_mixture_head_are_scraped_by_kind() {
         let board = Board::default();
-        board.told(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
+        board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
             ("share_ratio{kind=\"join\"}", 0.75),
@@ -355,7 +355,7 @@ mod tests {
         let board = Board::default();
         let mut evaluation = samples::evaluation();
         evaluation.value["bus"]["weights_refused_total"] = 2.into();
-        board.told(News::Metrics(vec![evaluation.clone()]), Duration::ZERO);
+        board.receive(News::Metrics(vec![evaluation.clone()]), Duration::ZERO);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         let refused = "lodestone_evaluator_bus_dropped_total{reason=\"weights_refused\"}";
         assert_eq!(samples.get(refused), Some(&2.0), "{samples:#?}");
@@ -367,7 +367,7 @@ mod tests {
             "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 3, "unrecorded_total": 4,
             "oversized_total": 5,
         });
-        board.told(News::Metrics(vec![evaluation]), Duration::ZERO);
+        board.receive(News::Metrics(vec![evaluation]), Duration::ZERO);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
             ("written_total", 6.0),
@@ -384,13 +384,13 @@ mod tests {
     fn a_hand_worked_scrape() {
         let board = Board::default();
         let scores = [("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5)];
-        board.evaluated(&pass(200, &scores));
+        board.evaluated(&evaluation(200, &scores));
         let now = Duration::ZERO;
-        board.told(News::Session(samples::session(&["a", "b"])), now);
+        board.receive(News::Session(samples::session(&["a", "b"])), now);
         let mut other = samples::learner();
         other.value["schema_version"] = 1.into();
-        board.told(News::Metrics(vec![samples::actor("a"), samples::actor("gone"), other]), now);
-        board.told(News::Session(samples::session(&["a", "b"])), now);
+        board.receive(News::Metrics(vec![samples::actor("a"), samples::actor("gone"), other]), now);
+        board.receive(News::Session(samples::session(&["a", "b"])), now);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         for (sample, value) in [
             ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"greedy\"}", 0.45),
@@ -412,7 +412,7 @@ mod tests {
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_learner_")), "{samples:#?}");
         assert!(!samples.keys().any(|sample| sample.contains("gone")), "{samples:#?}");
         // Without a router, live processes are unknown.
-        board.told(News::Session(samples::cut_off()), now);
+        board.receive(News::Session(samples::cut_off()), now);
         let samples = parse(&text(&board.state(), "a run").unwrap());
         assert_eq!(samples.get("lodestone_alive_processes{role=\"learner\"}"), Some(&0.0), "{samples:#?}");
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_actor_")), "{samples:#?}");

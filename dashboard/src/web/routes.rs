@@ -76,7 +76,7 @@ pub(super) fn routes(
         guarded = guarded.nest(&base(place + 1), of_run(run, &names, sweep.is_some()));
     }
     if let Some(sweep) = sweep {
-        guarded = guarded.route("/api/sweep", told(&sweep));
+        guarded = guarded.route("/api/sweep", answer_with(&sweep));
     }
     guarded = guarded
         .route("/api/blueprints", get(gallery::list))
@@ -109,7 +109,7 @@ pub(super) fn routes(
 struct Name(String);
 
 /// Serves JSON that does not change.
-fn told<S: Clone + Send + Sync + 'static>(json: &Value) -> MethodRouter<S> {
+fn answer_with<S: Clone + Send + Sync + 'static>(json: &Value) -> MethodRouter<S> {
     let answer = Bytes::from(json.to_string());
     get(move || std::future::ready(([(CONTENT_TYPE, "application/json")], answer.clone())))
 }
@@ -119,7 +119,7 @@ fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
     let name = Name(run.about.run.clone());
     let about = about(&run.about, run.stage.is_some(), names, is_of_sweep);
     Router::new()
-        .route("/api/about", told(&about))
+        .route("/api/about", answer_with(&about))
         .route("/api/history", get(history))
         .route("/api/events", get(events))
         .route("/api/play", get(stage::play).post(stage::play_drawn))

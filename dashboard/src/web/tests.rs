@@ -18,7 +18,7 @@ use super::replay::tests::segment;
 use super::server::MAX_CONNECTIONS;
 use super::*;
 use crate::config::Token;
-use samples::pass;
+use samples::evaluation;
 
 #[path = "../../../runlog/src/history/samples.rs"]
 pub(super) mod samples;
@@ -33,7 +33,7 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
 struct Served {
     bus: Bus,
     address: SocketAddr,
-    passes: mpsc::UnboundedSender<Pass>,
+    evaluations: mpsc::UnboundedSender<Evaluation>,
     task: tokio::task::JoinHandle<anyhow::Result<()>>,
 }
 
@@ -44,7 +44,7 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
     let page = Page::bind(&Valid::new(WebConfig { token, ..Default::default() }).unwrap()).await.unwrap();
     let address = page.address();
     let (policy, newest) = untrained();
-    let (passes, its_passes) = mpsc::unbounded_channel();
+    let (evaluations, its_evaluations) = mpsc::unbounded_channel();
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
     let farewell = Farewell { ended: "the run", command: Some("a command".to_owned()) };
     let about = About { farewell, ..about(Kind::Training, "r", 5000, Catalog::builtin().clone()) };
@@ -52,11 +52,17 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
         Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
         Builder::Policy => Err(StageError::NoWeights),
     });
-    let source =
-        Source { passes: its_passes, weights, policy, run: Some(RunPaths::new(dir)), about, stage: Some(stage) };
+    let source = Source {
+        evaluations: its_evaluations,
+        weights,
+        policy,
+        run: Some(RunPaths::new(dir)),
+        about,
+        stage: Some(stage),
+    };
     let its_bus = bus.clone();
     let task = tokio::spawn(async move { page.serve(&its_bus, source).await });
-    Served { bus, address, passes, task }
+    Served { bus, address, evaluations, task }
 }
 
 fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> About {
@@ -108,7 +114,7 @@ impl Served {
     }
 
     async fn end(self) {
-        drop(self.passes);
+        drop(self.evaluations);
         within(self.task).await.unwrap().unwrap();
         self.bus.close().await;
     }
@@ -386,8 +392,8 @@ async fn connections_that_say_too_little_are_few_and_short() {
     for _ in 0..2 * MAX_CONNECTIONS {
         hold(&mut held, "").await;
     }
-    served.passes.send(pass(1000, &[])).unwrap();
-    within(event_with(&mut lines, "pass", |_| true)).await;
+    served.evaluations.send(evaluation(1000, &[])).unwrap();
+    within(event_with(&mut lines, "evaluation", |_| true)).await;
     let metrics = served.get("/metrics").await;
     let evicted = metrics.lines().find_map(|line| {
         line.strip_prefix("lodestone_page_dropped_total{run=\"r\",reason=\"connection_evicted\"} ")?
@@ -431,8 +437,8 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     within(event_with(&mut lines, "roster", |data| data["actors"] == json!(["a-1"]))).await;
     drop(alive);
     within(event_with(&mut lines, "roster", |data| data["actors"] == json!([]))).await;
-    served.passes.send(pass(1000, &[])).unwrap();
-    let news = within(event_with(&mut lines, "pass", |_| true)).await;
+    served.evaluations.send(evaluation(1000, &[])).unwrap();
+    let news = within(event_with(&mut lines, "evaluation", |_| true)).await;
     assert_eq!(news["n_env_steps"], 1000);
     assert_eq!(served.status("/readyz", "").await, 200);
     let metrics = served.get("/metrics").await;
@@ -440,7 +446,7 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     let about = served.get("/api/about").await;
     // The last event says what to do next. The page then answers until those who listen have gone.
     let (silenced, _passes) = mpsc::unbounded_channel();
-    drop(std::mem::replace(&mut served.passes, silenced));
+    drop(std::mem::replace(&mut served.evaluations, silenced));
     let ended = within(event_with(&mut lines, "ended", |_| true)).await;
     assert_eq!(ended, json!({ "ended": "the run", "command": "a command" }));
     assert!(about.contains(&format!("\"farewell\":{ended}")), "{about}");
@@ -560,8 +566,8 @@ async fn runs_that_have_ended_stand_side_by_side() {
         let about = about(Kind::Finished, name, n_env_steps, catalog);
         let (policy, weights) = untrained();
         let run = RunPaths::new(dir.path());
-        let (passes, weights) = (vec![pass(n_env_steps, &[])], Some(Arc::new(weights)));
-        FinishedRun { about, passes, learner: Vec::new(), run, policy, weights, stage: None }
+        let (evaluations, weights) = (vec![evaluation(n_env_steps, &[])], Some(Arc::new(weights)));
+        FinishedRun { about, evaluations, learner: Vec::new(), run, policy, weights, stage: None }
     };
     let page = Page::bind(&Valid::default()).await.unwrap();
     let (address, shutdown) = (page.address(), CancellationToken::new());
@@ -582,8 +588,8 @@ async fn runs_that_have_ended_stand_side_by_side() {
     let runs = json!([{ "name": "a", "base": "" }, { "name": "b", "base": "/runs/1" }]);
     assert_eq!((&about["runs"], &get("/api/about").await["runs"]), (&runs, &runs));
     assert_eq!((&about["is_of_sweep"], get("/api/sweep").await), (&json!(true), json!({ "points": [] })));
-    assert_eq!(get("/api/history").await["passes"][0]["n_env_steps"], 100);
-    assert_eq!(get("/runs/1/api/history").await["passes"][0]["n_env_steps"], 200);
+    assert_eq!(get("/api/history").await["evaluations"][0]["n_env_steps"], 100);
+    assert_eq!(get("/runs/1/api/history").await["evaluations"][0]["n_env_steps"], 200);
     let video = "mine.7.success.1";
     assert_eq!(get(&format!("/runs/1/api/recording?id={video}")).await["blueprint"], "mine");
     assert_eq!(status(&ask(&format!("/runs/1/api/poster?id={video}")).await), 200);

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use proto::ActionMode;
 use runlog::series::{Difference, Grid, common_rates, lineage};
-use runlog::{History, Pass, RunPaths};
+use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
 use super::common::serve_command;
@@ -34,23 +34,23 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
         return of_sweep(args, &results, stdout);
     }
     let (acting, all) = (args.acting, history(&args.run)?);
-    let passes = shown(&all, &args.run, terminal);
-    let grid = Grid::success(&passes, acting).ok_or_else(|| nothing(&args.run, &passes, acting))?;
-    let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&passes, acting))];
-    let rows = passes.last().map(|last| groups::rows(last)).unwrap_or_default();
+    let evaluations = shown(&all, &args.run, terminal);
+    let grid = Grid::success(&evaluations, acting).ok_or_else(|| nothing(&args.run, &evaluations, acting))?;
+    let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&evaluations, acting))];
+    let rows = evaluations.last().map(|last| groups::rows(last)).unwrap_or_default();
     files.push(("groups.md".to_owned(), groups::markdown(&rows).into_bytes()));
     files.push(file("groups", groups::csv(&rows)));
     if let Some(minus) = &args.minus {
-        files.push(difference(&passes, args, minus, terminal)?);
+        files.push(difference(&evaluations, args, minus, terminal)?);
     }
     if !args.beside.is_empty() {
-        files.push(comparison(&passes, args, terminal)?);
+        files.push(comparison(&evaluations, args, terminal)?);
     }
     let written = write(args, &files)?;
     if args.json {
-        return super::common::json(&summary(args, &passes, &grid, &written), stdout);
+        return super::common::json(&summary(args, &evaluations, &grid, &written), stdout);
     }
-    let what = format!("{} of {}", count(passes.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
+    let what = format!("{} of {}", count(evaluations.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
     terminal.print(&format!("{} ({what}):", name(&args.run)));
     tell(args, &groups::markdown(&rows), &written, terminal);
     Ok(())
@@ -91,8 +91,8 @@ fn of_sweep(args: &ReportArgs, results: &Results, terminal: &Terminal) -> Result
 }
 
 /// Output of `--json`: the groups of the last evaluation, and the files written.
-fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, files: &[String]) -> serde_json::Value {
-    let groups = passes.last().map(|last| groups::rows(last)).unwrap_or_default();
+fn summary(args: &ReportArgs, evaluations: &[&Evaluation], grid: &Grid, files: &[String]) -> serde_json::Value {
+    let groups = evaluations.last().map(|last| groups::rows(last)).unwrap_or_default();
     let group = |row: &groups::GroupRow| {
         json!({
             "name": row.name, "n_blueprints": row.n_blueprints, "acting": row.acting.name(), "success": row.success,
@@ -103,22 +103,27 @@ fn summary(args: &ReportArgs, passes: &[&Pass], grid: &Grid, files: &[String]) -
     json!({
         "run": args.run.display().to_string(),
         "acting": args.acting.name(),
-        "n_evaluations": passes.len(),
+        "n_evaluations": evaluations.len(),
         "n_blueprints": grid.rows.len(),
-        "weights_version": passes.last().map(|last| last.weights_version),
-        "n_env_steps": passes.last().map(|last| last.n_env_steps),
+        "weights_version": evaluations.last().map(|last| last.weights_version),
+        "n_env_steps": evaluations.last().map(|last| last.n_env_steps),
         "groups": groups.iter().map(group).collect::<Vec<_>>(),
         "files": files,
     })
 }
 
-fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Terminal) -> Result<File, Failure> {
+fn difference(
+    evaluations: &[&Evaluation],
+    args: &ReportArgs,
+    minus: &Path,
+    terminal: &Terminal,
+) -> Result<File, Failure> {
     let all = history(minus)?;
     let others = shown(&all, minus, terminal);
     if Grid::success(&others, args.acting).is_none() {
         return Err(nothing(minus, &others, args.acting));
     }
-    let difference = Difference::new(passes, &others, args.acting).ok_or_else(|| {
+    let difference = Difference::new(evaluations, &others, args.acting).ok_or_else(|| {
         Failure::NothingToShow(format!(
             "{} and {} evaluated no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
             args.run.display(),
@@ -132,17 +137,17 @@ fn difference(passes: &[&Pass], args: &ReportArgs, minus: &Path, terminal: &Term
     Ok(file("difference", tables::grid(&difference.grid)))
 }
 
-fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Result<File, Failure> {
+fn comparison(evaluations: &[&Evaluation], args: &ReportArgs, terminal: &Terminal) -> Result<File, Failure> {
     let histories = args.beside.iter().map(|run| history(run)).collect::<Result<Vec<_>, _>>()?;
-    let mut evaluations = vec![passes.to_vec()];
+    let mut lineages = vec![evaluations.to_vec()];
     for (run, all) in args.beside.iter().zip(&histories) {
-        let passes = shown(all, run, terminal);
-        if Grid::success(&passes, args.acting).is_none() {
-            return Err(nothing(run, &passes, args.acting));
+        let shown = shown(all, run, terminal);
+        if Grid::success(&shown, args.acting).is_none() {
+            return Err(nothing(run, &shown, args.acting));
         }
-        evaluations.push(passes);
+        lineages.push(shown);
     }
-    let common = common_rates(evaluations.iter().map(Vec::as_slice), args.acting).ok_or_else(|| {
+    let common = common_rates(lineages.iter().map(Vec::as_slice), args.acting).ok_or_else(|| {
         Failure::NothingToShow(format!(
             "no blueprint was evaluated with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
              the same `evaluator.selection`",
@@ -155,25 +160,25 @@ fn comparison(passes: &[&Pass], args: &ReportArgs, terminal: &Terminal) -> Resul
 }
 
 /// All evaluations of a run.
-fn history(run: &Path) -> Result<Vec<Pass>, Failure> {
+fn history(run: &Path) -> Result<Vec<Evaluation>, Failure> {
     check_exists(run)?;
     Ok(History::read(&RunPaths::new(run).history())?)
 }
 
 /// The evaluations to show; prints how many are left out.
-fn shown<'p>(all: &'p [Pass], run: &Path, terminal: &Terminal) -> Vec<&'p Pass> {
-    let passes = lineage(all);
-    let n_left_out = all.len() - passes.len();
+fn shown<'p>(all: &'p [Evaluation], run: &Path, terminal: &Terminal) -> Vec<&'p Evaluation> {
+    let evaluations = lineage(all);
+    let n_left_out = all.len() - evaluations.len();
     if n_left_out > 0 {
         let (run, left_out) = (run.display(), count(n_left_out, "evaluation"));
         terminal.print(&format!("{run}: left out {left_out} that the run repeated after it was resumed"));
     }
-    passes
+    evaluations
 }
 
-fn nothing(run: &Path, passes: &[&Pass], acting: ActionMode) -> Failure {
+fn nothing(run: &Path, evaluations: &[&Evaluation], acting: ActionMode) -> Failure {
     let history = RunPaths::new(run).history();
-    Failure::NothingToShow(if Grid::success(passes, acting.other()).is_some() {
+    Failure::NothingToShow(if Grid::success(evaluations, acting.other()).is_some() {
         not_this_way(&history, acting)
     } else {
         format!("{} has no evaluation yet: wait for the first one", history.display())

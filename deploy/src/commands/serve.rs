@@ -93,7 +93,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let paths = RunPaths::new(folder);
     let config = configuration(&paths)?;
     let history = paths.history();
-    let passes = if history.exists() { History::read(&history)? } else { Vec::new() };
+    let evaluations = if history.exists() { History::read(&history)? } else { Vec::new() };
     let learner = updates(&paths)?;
     let model = match Source::read(folder) {
         Err(error @ Failure::Weights(_)) => return Err(error),
@@ -111,7 +111,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let blueprints = config.evaluator.selection.blueprints.clone();
     let (preset, origin) = (preset_of(&paths), origin_of(&paths, &config));
     let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin };
-    Ok(FinishedRun { about, passes, learner, run: paths, policy, weights, stage })
+    Ok(FinishedRun { about, evaluations, learner, run: paths, policy, weights, stage })
 }
 
 /// The configuration that the run saved.

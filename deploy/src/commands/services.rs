@@ -13,7 +13,7 @@ use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, 
 use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use proto::{ActorId, Role, Valid, Weights};
-use runlog::{Pass, RunPaths};
+use runlog::{Evaluation, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -48,11 +48,11 @@ pub(super) async fn run_actor(
     let (n_threads, n_worlds) = (config.actor.n_threads, config.actor.n_worlds);
     terminal.print(&begins(&format!("actor `{id}` steps {n_threads} × {n_worlds} worlds"), settings));
     let setup = actor_setup(config, id);
-    let (told, metrics) = watch::channel(None);
+    let (metrics_sender, metrics) = watch::channel(None);
     let shown = tokio::spawn(live::show_acting(metrics, terminal.clone()));
     let act = async |bus: Bus| {
         let _told = AbortOnDropHandle::new(tokio::spawn(tell_of_learner(bus.clone())));
-        actor(setup, bus, told, shutdown.clone()).await
+        actor(setup, bus, metrics_sender, shutdown.clone()).await
     };
     let ended = on_bus(config, &health, &shutdown, act).await;
     finished(shown).await.and(ended)
@@ -89,9 +89,9 @@ pub(super) async fn run_learner(
     let what = format!("learning up to {} environment steps, seed {},", config.n_env_steps, config.seed);
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
-    let (told, metrics) = watch::channel(None);
+    let (metrics_sender, metrics) = watch::channel(None);
     let source = Box::new(Arrivals::default());
-    let options = run_options(setup, config, &run_dir, origin.checkpoint, source, told);
+    let options = run_options(setup, config, &run_dir, origin.checkpoint, source, metrics_sender);
     let mut shown = None;
     let mut is_complete = false;
     let ended = on_bus(config, &health, &shutdown, async |bus| {
@@ -184,15 +184,15 @@ async fn tell_of_learner(bus: Bus) -> Result<(), BusError> {
     Ok(())
 }
 
-/// Runs an actor, which sends its metrics to `told` too. Its random draws differ from those of all other actors of the
+/// Runs an actor, which sends its metrics to `metrics_sender` too. Its random draws differ from those of all other actors of the
 /// run.
 pub(super) async fn actor(
     setup: ActorSetup,
     bus: Bus,
-    told: watch::Sender<Option<ActorMetrics>>,
+    metrics_sender: watch::Sender<Option<ActorMetrics>>,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    actor::run(setup, &bus, told, shutdown).await?;
+    actor::run(setup, &bus, metrics_sender, shutdown).await?;
     Ok(())
 }
 
@@ -257,10 +257,10 @@ pub(super) async fn evaluate(
         evaluator::run(setup, &bus, listeners, stop).await?;
         return Ok(());
     };
-    let ((passes, its_passes), (weights, its_weights)) =
-        (mpsc::unbounded_channel(), watch::channel(opened.first.take()));
-    (listeners.evaluations, listeners.weights) = (Some(passes), Some(weights));
-    let (page, source) = opened.onto(&setup, its_passes, its_weights);
+    let (evaluations, evaluation_source) = mpsc::unbounded_channel();
+    let (weights, weights_source) = watch::channel(opened.first.take());
+    (listeners.evaluations, listeners.weights) = (Some(evaluations), Some(weights));
+    let (page, source) = opened.onto(&setup, evaluation_source, weights_source);
     let now = stop.now.clone();
     let serving = async { page.serve(&bus, source).await.inspect_err(|_| now.cancel()) };
     // The page ends after the evaluator, however that ends, to tell browsers so.
@@ -276,13 +276,13 @@ pub(super) async fn show(
     bus: &Bus,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let ((passes, its_passes), (_weights, its_weights)) =
-        (mpsc::unbounded_channel(), watch::channel(opened.first.take()));
-    let (page, source) = opened.onto(&setup, its_passes, its_weights);
+    let (evaluations, evaluation_source) = mpsc::unbounded_channel();
+    let (_weights, weights_source) = watch::channel(opened.first.take());
+    let (page, source) = opened.onto(&setup, evaluation_source, weights_source);
     // The page ends, and tells browsers so, when no evaluation can come any more.
     let ending = async {
         shutdown.cancelled().await;
-        drop(passes);
+        drop(evaluations);
     };
     let serving = async { page.serve(bus, source).await.inspect_err(|_| shutdown.cancel()) };
     let (served, ()) = tokio::join!(serving, ending);
@@ -295,14 +295,14 @@ impl Opened {
     fn onto(
         self,
         setup: &EvaluatorSetup,
-        passes: mpsc::UnboundedReceiver<Pass>,
+        evaluations: mpsc::UnboundedReceiver<Evaluation>,
         weights: watch::Receiver<Option<Arc<Weights>>>,
     ) -> (Page, Source) {
         let Self { page, about, run: other, .. } = self;
         let (policy, run) = (setup.policy.clone(), setup.records.clone());
         let stage = stage(setup.environment.clone(), policy.clone(), weights.clone(), other.or_else(|| run.clone()));
         let stage = Some(stage);
-        (page, Source { passes, weights, policy, run, about, stage })
+        (page, Source { evaluations, weights, policy, run, about, stage })
     }
 }
 
@@ -394,17 +394,17 @@ pub(super) fn run_dir(
     Ok(run_dir)
 }
 
-/// The options of a learner for this run with trajectories of this source, which sends its metrics to `told` too.
+/// The options of a learner for this run with trajectories of this source, which sends its metrics to `metrics_sender` too.
 pub(super) fn run_options(
     setup: LearnerSetup,
     config: &Config,
     run_dir: &RunDir,
     resume: Option<PathBuf>,
     source: Box<dyn TrajectorySource>,
-    told: watch::Sender<Option<LearnerMetrics>>,
+    metrics_sender: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
     let (run_dir, max_env_steps) = (run_dir.paths().clone(), Some(config.n_env_steps));
-    RunOptions { setup, run_dir, resume, max_env_steps, source, told, save_retry: SAVE_RETRY }
+    RunOptions { setup, run_dir, resume, max_env_steps, source, metrics_sender, save_retry: SAVE_RETRY }
 }
 
 /// The given name, or a new one.

@@ -78,7 +78,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     assert_eq!(lines[1]["key"], format!("eval/train/{}", first.blueprint));
     let evaluations = History::read(&records.history()).unwrap();
     assert_eq!(evaluations.len(), 3);
-    assert_eq!(evaluations[0], Pass::new(&report, evaluations[0].ended_unix_ms));
+    assert_eq!(evaluations[0], Evaluation::new(&report, evaluations[0].ended_unix_ms));
     // The evaluations ended in order, after the start of 2026.
     assert!(
         1_767_225_600_000 < evaluations[0].ended_unix_ms
@@ -192,7 +192,7 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let mut outlets = Outlets {
         records: None,
-        evaluations: Passes::default(),
+        evaluations: Evaluations::default(),
         publishers: Publishers::new(&bus).await.unwrap(),
         last: None,
         reports: None,
@@ -220,13 +220,13 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
     outlets.publishers.publish(&report(2, false)).await.unwrap();
     bus.count_refused_weights();
     outlets.publish_last().await.unwrap();
-    let mut told = Vec::new();
+    let mut published = Vec::new();
     for _ in 0..3 {
         let sample = within(summaries.recv()).await.unwrap();
         let summary: EvalSummary = serde_json::from_value(sample.value).unwrap();
-        told.push((summary.weights_version.0, summary.is_complete, summary.bus.weights_refused_total));
+        published.push((summary.weights_version.0, summary.is_complete, summary.bus.weights_refused_total));
     }
-    assert_eq!(told, [(1, true, 0), (2, false, 0), (1, true, 1)]);
+    assert_eq!(published, [(1, true, 0), (2, false, 0), (1, true, 1)]);
     // Its results by blueprint are told again too.
     let mut scores = bus.metrics_subscriber(&keys::metrics_eval(Split::Train, goal.id())).await.unwrap();
     let score: EvalBlueprint = serde_json::from_value(within(scores.recv()).await.unwrap().value).unwrap();

@@ -59,7 +59,7 @@ impl Running {
             resume: None,
             max_env_steps: Some(max_env_steps),
             source: Box::new(Made(feed)),
-            told: tokio::sync::watch::Sender::new(None),
+            metrics_sender: tokio::sync::watch::Sender::new(None),
             save_retry,
         };
         let shutdown = CancellationToken::new();
@@ -71,7 +71,7 @@ impl Running {
     }
 
     /// Returns the updates of the next metrics, and why they are not saved.
-    async fn told(&mut self) -> (u64, Option<String>) {
+    async fn news(&mut self) -> (u64, Option<String>) {
         let sample = self.metrics.recv().await.unwrap();
         let metrics: LearnerMetrics = serde_json::from_value(sample.value).unwrap();
         (metrics.n_updates, metrics.not_saved.map(|not_saved| not_saved.reason))
@@ -101,23 +101,23 @@ async fn nothing_is_learned_while_nothing_can_be_saved() {
         no_checkpoint(paths);
     };
     let mut running = Running::start(SOON, 1, 512, spoil).await;
-    assert_eq!(running.told().await, (1, None));
-    let (n_updates, reason) = running.told().await;
+    assert_eq!(running.news().await, (1, None));
+    let (n_updates, reason) = running.news().await;
     assert!(n_updates == 1 && reason.as_ref().unwrap().contains("metrics.jsonl"), "{reason:?}");
-    let told = running.bus.pulse().not_saved().unwrap();
-    assert_eq!((Some(told.reason), running.bus.pulse().age().is_zero()), (reason, true));
+    let not_saved = running.bus.pulse().not_saved().unwrap();
+    assert_eq!((Some(not_saved.reason), running.bus.pulse().age().is_zero()), (reason, true));
     assert_eq!(running.n_fed(), 1);
 
     // The next attempt saves what it can.
     let metrics = running.paths.metrics();
     fs::remove_dir(&metrics).unwrap();
-    let (n_updates, reason) = running.told().await;
+    let (n_updates, reason) = running.news().await;
     assert!(n_updates == 1 && reason.as_ref().unwrap().contains(".new-256"), "{reason:?}");
     let lines = |path: &Path| fs::read_to_string(path).unwrap().lines().count();
     assert_eq!((running.n_fed(), lines(&metrics)), (1, 1));
 
     fs::remove_file(running.paths.checkpoints().join(".new-256")).unwrap();
-    assert_eq!([running.told().await, running.told().await], [(1, None), (2, None)]);
+    assert_eq!([running.news().await, running.news().await], [(1, None), (2, None)]);
     let summary = running.learning.await.unwrap().unwrap().unwrap();
     assert_eq!((summary.n_updates, lines(&metrics)), (2, 2));
     assert_eq!(running.bus.pulse().not_saved(), None);
@@ -128,11 +128,11 @@ async fn nothing_is_learned_while_nothing_can_be_saved() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_last_checkpoint_waits_for_its_disk_too() {
     let mut running = Running::start(SOON, 50, 256, no_checkpoint).await;
-    assert_eq!(running.told().await, (1, None));
-    let (n_updates, reason) = running.told().await;
+    assert_eq!(running.news().await, (1, None));
+    let (n_updates, reason) = running.news().await;
     assert!(n_updates == 1 && reason.as_ref().unwrap().contains(".new-256"), "{reason:?}");
     fs::remove_file(running.paths.checkpoints().join(".new-256")).unwrap();
-    assert_eq!(running.told().await, (1, None));
+    assert_eq!(running.news().await, (1, None));
     let summary = running.learning.await.unwrap().unwrap().unwrap();
     assert!(summary.checkpoint.ends_with("checkpoints/step-256"));
     running.bus.close().await;
@@ -141,8 +141,8 @@ async fn the_last_checkpoint_waits_for_its_disk_too() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn only_being_told_ends_a_learner_that_cannot_save() {
     let mut running = Running::start(Duration::from_secs(3600), 1, 512, no_checkpoint).await;
-    assert_eq!(running.told().await, (1, None));
-    assert!(running.told().await.1.is_some());
+    assert_eq!(running.news().await, (1, None));
+    assert!(running.news().await.1.is_some());
     running.shutdown.cancel();
     let error = running.learning.await.unwrap().unwrap_err();
     assert!(error.chain().any(|cause| cause.is::<CheckpointError>()), "{error:#}");

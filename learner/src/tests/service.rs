@@ -42,14 +42,14 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
 
 /// Returns the options of a new run without end in `dir`.
 fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
-    let told = watch::channel(None).0;
+    let metrics_sender = watch::channel(None).0;
     RunOptions {
         setup,
         run_dir: dir.clone(),
         resume: None,
         max_env_steps: None,
         source: Box::new(Arrivals::default()),
-        told,
+        metrics_sender,
         save_retry: SAVE_RETRY,
     }
 }

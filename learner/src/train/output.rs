@@ -61,7 +61,7 @@ pub(crate) struct Output {
     pub(crate) max_env_steps: Option<u64>,
     pub(crate) publications: mpsc::Sender<Publication>,
     /// Gets the metrics of every update too.
-    pub(crate) told: watch::Sender<Option<LearnerMetrics>>,
+    pub(crate) metrics_sender: watch::Sender<Option<LearnerMetrics>>,
     pub(crate) counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
     pub(crate) shutdown: CancellationToken,
     pub(crate) pulse: Pulse,
@@ -156,7 +156,7 @@ impl Output {
     /// Shows the metrics in this process, and hands them and the newest weights to the bus, unless the session failed.
     pub(super) fn send(&self, metrics: Option<LearnerMetrics>) {
         if let Some(metrics) = &metrics {
-            self.told.send_replace(Some(metrics.clone()));
+            self.metrics_sender.send_replace(Some(metrics.clone()));
         }
         let publication = Publication { weights: self.newest.clone(), metrics };
         if self.publications.blocking_send(publication).is_err() {

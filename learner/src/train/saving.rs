@@ -60,14 +60,14 @@ impl Output {
         let pulse = self.pulse.clone();
         let _waiting = pulse.waiting();
         let pause = self.save_retry;
-        let mut told: Option<String> = None;
+        let mut last_reason: Option<String> = None;
         loop {
             let reason = format!("{error:#}");
-            if told.as_ref() != Some(&reason) {
+            if last_reason.as_ref() != Some(&reason) {
                 tracing::error!(reason, "nothing can be saved: training waits, and tries again every {pause:?}");
                 let since_unix_ms = self.saving.saved_unix_ms;
                 self.tell(Some(NotSaved { since_unix_ms, reason: reason.clone() }));
-                told = Some(reason);
+                last_reason = Some(reason);
             }
             if !self.pause(pause) {
                 return;

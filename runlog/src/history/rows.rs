@@ -11,7 +11,7 @@ use rusqlite::{Connection, Error, Result, Row, TransactionBehavior, params};
 
 /// One evaluation of frozen weights, as stored in the history.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pass {
+pub struct Evaluation {
     /// End time, milliseconds since 1970.
     pub ended_unix_ms: u64,
     /// Duration, seconds.
@@ -28,7 +28,7 @@ pub struct Pass {
     pub reset_free: Option<EvalResetFree>,
 }
 
-impl Pass {
+impl Evaluation {
     /// Selects the stored parts of a report; `ended_unix_ms` is in milliseconds since 1970.
     pub fn new(report: &EvalReport, ended_unix_ms: u64) -> Self {
         Self {
@@ -43,7 +43,7 @@ impl Pass {
     }
 }
 
-const INSERT_PASS: &str = "INSERT INTO pass (ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed)
+const INSERT_EVALUATION: &str = "INSERT INTO pass (ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed)
     VALUES (?1, ?2, ?3, ?4, ?5)";
 const INSERT_BLUEPRINT: &str = "INSERT OR IGNORE INTO blueprint (name, split, n_blocks) VALUES (?1, ?2, ?3)";
 const SELECT_BLUEPRINT: &str = "SELECT blueprint_id FROM blueprint WHERE name = ?1 AND split = ?2 AND n_blocks = ?3";
@@ -62,16 +62,19 @@ const SELECT_OUTCOMES: &str = "SELECT outcome.*, blueprint.name, blueprint.split
     FROM outcome JOIN blueprint USING (blueprint_id)";
 
 /// Writes an evaluation in one transaction.
-pub(super) fn append(db: &mut Connection, pass: &Pass) -> Result<()> {
+pub(super) fn append(db: &mut Connection, evaluation: &Evaluation) -> Result<()> {
     let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate)?;
-    let (version, n_steps) = (pass.weights_version.0, pass.n_env_steps);
-    transaction.execute(INSERT_PASS, params![pass.ended_unix_ms, pass.elapsed_s, version, n_steps, pass.seed])?;
+    let (version, n_steps) = (evaluation.weights_version.0, evaluation.n_env_steps);
+    transaction.execute(
+        INSERT_EVALUATION,
+        params![evaluation.ended_unix_ms, evaluation.elapsed_s, version, n_steps, evaluation.seed],
+    )?;
     let pass_id = transaction.last_insert_rowid();
     {
         let mut insert_blueprint = transaction.prepare(INSERT_BLUEPRINT)?;
         let mut select_blueprint = transaction.prepare(SELECT_BLUEPRINT)?;
         let mut insert_outcome = transaction.prepare(INSERT_OUTCOME)?;
-        for score in &pass.blueprints {
+        for score in &evaluation.blueprints {
             let key = params![score.blueprint.as_str(), score.split.as_str(), score.n_blocks];
             insert_blueprint.execute(key)?;
             let blueprint_id: i64 = select_blueprint.query_row(key, |row| row.get(0))?;
@@ -99,7 +102,7 @@ pub(super) fn append(db: &mut Connection, pass: &Pass) -> Result<()> {
                 ])?;
             }
         }
-        if let Some(reset_free) = &pass.reset_free {
+        if let Some(reset_free) = &evaluation.reset_free {
             append_reset_free(&transaction, pass_id, reset_free)?;
         }
     }
@@ -143,14 +146,14 @@ fn append_reset_free(db: &Connection, pass_id: i64, reset_free: &EvalResetFree) 
 }
 
 /// Reads all evaluations in writing order.
-pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
+pub(super) fn read(db: &Connection) -> Result<Vec<Evaluation>> {
     // One transaction, so that no query sees a later write.
     let transaction = db.unchecked_transaction()?;
-    let mut passes: BTreeMap<i64, Pass> = BTreeMap::new();
+    let mut evaluations: BTreeMap<i64, Evaluation> = BTreeMap::new();
     let mut select_passes = transaction.prepare(SELECT_PASSES)?;
     let mut rows = select_passes.query([])?;
     while let Some(row) = rows.next()? {
-        passes.insert(row.get("pass_id")?, pass(row)?);
+        evaluations.insert(row.get("pass_id")?, evaluation(row)?);
     }
     let mut scores: BTreeMap<(i64, Split, u64, BlueprintId), [EvalOutcome; 2]> = BTreeMap::new();
     let mut select_outcomes = transaction.prepare(SELECT_OUTCOMES)?;
@@ -162,11 +165,11 @@ pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
     }
     for ((pass_id, split, n_blocks, blueprint), [greedy, sampled]) in scores {
         // The database enforces that every outcome has its evaluation.
-        let Some(pass) = passes.get_mut(&pass_id) else { continue };
-        pass.blueprints.push(EvalBlueprint {
+        let Some(evaluation) = evaluations.get_mut(&pass_id) else { continue };
+        evaluation.blueprints.push(EvalBlueprint {
             schema_version: METRICS_SCHEMA_VERSION,
-            weights_version: pass.weights_version,
-            n_env_steps: pass.n_env_steps,
+            weights_version: evaluation.weights_version,
+            n_env_steps: evaluation.n_env_steps,
             blueprint,
             split,
             n_blocks,
@@ -177,19 +180,19 @@ pub(super) fn read(db: &Connection) -> Result<Vec<Pass>> {
     let mut select_runs = transaction.prepare("SELECT * FROM reset_free")?;
     let mut rows = select_runs.query([])?;
     while let Some(row) = rows.next()? {
-        let Some(pass) = passes.get_mut(&row.get("pass_id")?) else { continue };
-        let reset_free = pass.reset_free.get_or_insert_default();
+        let Some(evaluation) = evaluations.get_mut(&row.get("pass_id")?) else { continue };
+        let reset_free = evaluation.reset_free.get_or_insert_default();
         (reset_free.n_runs, reset_free.n_goals) = (row.get("n_runs")?, row.get("n_goals")?);
         match acting(row)? {
             ActionMode::Greedy => reset_free.greedy = runs(row)?,
             ActionMode::Sampled => reset_free.sampled = runs(row)?,
         }
     }
-    Ok(passes.into_values().collect())
+    Ok(evaluations.into_values().collect())
 }
 
-fn pass(row: &Row<'_>) -> Result<Pass> {
-    Ok(Pass {
+fn evaluation(row: &Row<'_>) -> Result<Evaluation> {
+    Ok(Evaluation {
         ended_unix_ms: row.get("ended_unix_ms")?,
         elapsed_s: row.get("elapsed_s")?,
         weights_version: WeightsVersion(row.get("weights_version")?),

@@ -4,7 +4,7 @@ use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome, METRICS_SCHEMA_VERSION};
 use proto::wilson::SuccessRate;
 use proto::{RewardTerms, WeightsVersion};
-use runlog::Pass;
+use runlog::Evaluation;
 
 /// Returns an outcome with this many successes in ten episodes and plausible other values.
 pub(crate) fn outcome(n_successes: u64) -> EvalOutcome {
@@ -20,7 +20,7 @@ pub(crate) fn outcome(n_successes: u64) -> EvalOutcome {
 
 /// Returns an evaluation of blueprints given as id, split, size, and successes in ten greedy episodes, without sampled
 /// ones.
-pub(crate) fn pass(n_env_steps: u64, scores: &[(&str, Split, u64, u64)]) -> Pass {
+pub(crate) fn evaluation(n_env_steps: u64, scores: &[(&str, Split, u64, u64)]) -> Evaluation {
     let weights_version = WeightsVersion(n_env_steps / 10);
     let score = |&(id, split, n_blocks, n_successes): &(&str, Split, u64, u64)| EvalBlueprint {
         schema_version: METRICS_SCHEMA_VERSION,
@@ -32,7 +32,7 @@ pub(crate) fn pass(n_env_steps: u64, scores: &[(&str, Split, u64, u64)]) -> Pass
         sampled: EvalOutcome::default(),
         greedy: outcome(n_successes),
     };
-    Pass {
+    Evaluation {
         ended_unix_ms: 1_767_225_600_123 + n_env_steps,
         elapsed_s: 12.25,
         weights_version,

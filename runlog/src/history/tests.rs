@@ -7,18 +7,18 @@ use std::time::{Duration, Instant};
 use blueprints::Split;
 use proto::metrics::{EvalOutcome, EvalResetFree, EvalRuns};
 
-use super::samples::{outcome, pass};
+use super::samples::{evaluation, outcome};
 use super::*;
 
-fn small(n_env_steps: u64) -> Pass {
-    pass(n_env_steps, &[("2_003", Split::Train, 2, 4), ("10_000", Split::Train, 10, 0)])
+fn small(n_env_steps: u64) -> Evaluation {
+    evaluation(n_env_steps, &[("2_003", Split::Train, 2, 4), ("10_000", Split::Train, 10, 0)])
 }
 
 /// Returns an evaluation of a hundred blueprints, which fill several pages of the database.
-fn large(n_env_steps: u64) -> Pass {
+fn large(n_env_steps: u64) -> Evaluation {
     let ids: Vec<String> = (0..100).map(|i| format!("3_{i:03}")).collect();
     let scores: Vec<_> = ids.iter().map(|id| (id.as_str(), Split::Train, 3, 5)).collect();
-    pass(n_env_steps, &scores)
+    evaluation(n_env_steps, &scores)
 }
 
 fn path(folder: &tempfile::TempDir) -> PathBuf {
@@ -55,7 +55,7 @@ fn evaluations_round_trip() {
             n_forced_resets: 1,
         },
     });
-    let second = pass(500, &[("2_000", Split::Train, 2, 1), ("test_12_000", Split::Test, 12, 10)]);
+    let second = evaluation(500, &[("2_000", Split::Train, 2, 1), ("test_12_000", Split::Test, 12, 10)]);
     let mut history = History::open(&path).unwrap();
     assert_eq!(History::read(&path).unwrap(), []);
     history.append(&first).unwrap();
@@ -72,9 +72,9 @@ fn evaluations_round_trip() {
 #[test]
 fn nan_returns_round_trip() {
     let folder = tempfile::tempdir().unwrap();
-    let mut pass = small(0);
-    pass.blueprints[0].greedy.mean_return.force = f32::NAN;
-    History::open(&path(&folder)).unwrap().append(&pass).unwrap();
+    let mut evaluation = small(0);
+    evaluation.blueprints[0].greedy.mean_return.force = f32::NAN;
+    History::open(&path(&folder)).unwrap().append(&evaluation).unwrap();
     let found = History::read(&path(&folder)).unwrap();
     let terms = found[0].blueprints[0].greedy.mean_return;
     assert!(terms.force.is_nan() && terms.connected == 1.3, "{terms:?}");
@@ -142,10 +142,10 @@ fn killed_writer_leaves_complete_evaluations() {
     child.kill().unwrap();
     child.wait().unwrap();
     let mut history = History::open(&path).unwrap();
-    let passes = History::read(&path).unwrap();
-    assert!(passes.len() >= 10, "{}", passes.len());
-    let expected: Vec<Pass> = (0..passes.len() as u64).map(large).collect();
-    assert_eq!(passes, expected);
+    let evaluations = History::read(&path).unwrap();
+    assert!(evaluations.len() >= 10, "{}", evaluations.len());
+    let expected: Vec<Evaluation> = (0..evaluations.len() as u64).map(large).collect();
+    assert_eq!(evaluations, expected);
     history.append(&small(1000)).unwrap();
 }
 

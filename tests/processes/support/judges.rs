@@ -16,12 +16,12 @@ pub(crate) fn python() -> Option<OsString> {
 }
 
 /// Runs a script from `deploy/examples` and returns the JSON that it prints.
-pub(crate) fn told_by(python: &OsStr, script: &str, args: &[&str]) -> serde_json::Value {
-    told_by_script(python, &Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script), args)
+pub(crate) fn output_of(python: &OsStr, script: &str, args: &[&str]) -> serde_json::Value {
+    output_of_script(python, &Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(script), args)
 }
 
 /// Runs a script and returns the JSON that it prints.
-pub(crate) fn told_by_script(python: &OsStr, script: &Path, args: &[&str]) -> serde_json::Value {
+pub(crate) fn output_of_script(python: &OsStr, script: &Path, args: &[&str]) -> serde_json::Value {
     let read = Command::new(python).arg(script).args(args).output().unwrap();
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
     serde_json::from_slice(&read.stdout).unwrap()

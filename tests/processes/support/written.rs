@@ -6,7 +6,7 @@ use blueprints::{BlueprintId, Split};
 use proto::WeightsVersion;
 use proto::metrics::{EvalBlueprint, EvalOutcome, METRICS_SCHEMA_VERSION};
 use proto::wilson::SuccessRate;
-use runlog::{History, Pass, RunPaths};
+use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
 /// Writes one evaluation of two-block blueprints after each number of steps; all greedy episodes succeed.
@@ -26,8 +26,9 @@ pub(crate) fn write_run(run: &Path, ids: &[&str], steps: &[u64]) {
         };
         let blueprints = ids.iter().map(score).collect();
         let (ended_unix_ms, elapsed_s, seed) = (1_767_225_600_000, 2.5, 1);
-        let pass = Pass { ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed, blueprints, reset_free: None };
-        history.append(&pass).unwrap();
+        let evaluation =
+            Evaluation { ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed, blueprints, reset_free: None };
+        history.append(&evaluation).unwrap();
     }
 }
 

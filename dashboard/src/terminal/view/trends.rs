@@ -37,15 +37,15 @@ pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Lin
 
 /// Formats the main metrics in one line of `width` characters; `None` until one of them has two values.
 pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
-    let told: Vec<_> =
+    let trends: Vec<_> =
         run.trends().all().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
     let title = "  trend      ";
-    let names: usize = told.iter().map(|(name, _)| name.len() + 3).sum();
-    let each = width.saturating_sub(title.len() + names) / told.len().max(1);
-    if told.is_empty() || each < MIN_BARS {
+    let names: usize = trends.iter().map(|(name, _)| name.len() + 3).sum();
+    let each = width.saturating_sub(title.len() + names) / trends.len().max(1);
+    if trends.is_empty() || each < MIN_BARS {
         return None;
     }
-    let parts = told.iter().map(|(name, values)| format!(" {name} {}", bars(values, each)));
+    let parts = trends.iter().map(|(name, values)| format!(" {name} {}", bars(values, each)));
     Some(plain(title.to_owned() + &parts.collect::<Vec<_>>().join(" ")))
 }
 

@@ -19,7 +19,7 @@ import { Stage } from "./stage.js";
 import { Terms } from "./terms.js";
 
 /** @import { Values } from "./address.js" */
-/** @import { About, Acting, Video, History, Pass, Roster, Row } from "./types" */
+/** @import { About, Acting, Video, History, Evaluation, Roster, Row } from "./types" */
 
 const options = new ChosenOptions(() => redraw("history", "learner"));
 const curves = new Curves($("curves"), options);
@@ -96,10 +96,10 @@ address.follow(restore);
 /**
  * Opens the clip that an evaluation recorded, or else plays the same blueprint with the newest weights.
  * @param {Row} row
- * @param {Pass} pass
+ * @param {Evaluation} evaluation
  */
-async function openCell({ id }, pass) {
-  const recorded = await videoOf(id, pass.weights_version);
+async function openCell({ id }, evaluation) {
+  const recorded = await videoOf(id, evaluation.weights_version);
   if (recorded) {
     openVideo(recorded);
     return;
@@ -144,7 +144,7 @@ function draw() {
 
 /** Returns the runs that the charts show: the page's own, or all of several. */
 function runs() {
-  const own = { name: model.about ? model.about.run : "", passes: model.history.passes, points: model.points };
+  const own = { name: model.about ? model.about.run : "", evaluations: model.history.evaluations, points: model.points };
   return model.beside.length > 1 ? model.beside : [own];
 }
 
@@ -159,7 +159,7 @@ function underWay() {
 }
 
 function drawTiles() {
-  const last = model.history.passes[model.history.passes.length - 1];
+  const last = model.history.evaluations[model.history.evaluations.length - 1];
   const now = underWay();
   // Before the first evaluation ends, show its preliminary numbers.
   const success = last ? last.all[model.acting] : now && now.success;
@@ -254,8 +254,8 @@ async function chooseRun(all) {
   const ask = async (/** @type {string} */ base, /** @type {string} */ what) => (await fetch(answerAt(base, what))).json();
   const asked = Promise.all(all.map(async ({ name, base }) => ({ name, origin: (await ask(base, "about")).origin })));
   model.beside = await Promise.all(all.map(async ({ name, base }) => {
-    const { passes, learner } = await ask(base, "history");
-    return { name, passes, points: learner };
+    const { evaluations, learner } = await ask(base, "history");
+    return { name, evaluations, points: learner };
   }));
   redraw("history", "learner");
   $("tiles").after($("origin"));
@@ -338,7 +338,7 @@ function measured({ key, payload }) {
     model.learner = payload;
     model.points = model.points.filter((point) => point.n_env_steps < payload.n_env_steps);
     model.points.push(toPoint(payload));
-    // The history's limit. The next pass reloads the earlier points, thinned out.
+    // The history's limit. The next evaluation reloads the earlier points, thinned out.
     if (model.points.length > 1200) model.points.splice(0, 1);
     redraw("learner");
   } else if (key.startsWith("actor/")) {
@@ -346,7 +346,7 @@ function measured({ key, payload }) {
     redraw("roster");
   } else if (key === "eval/summary") {
     model.summary = payload;
-    redraw(model.history.passes.length === 0 ? "history" : "roster");
+    redraw(model.history.evaluations.length === 0 ? "history" : "roster");
   }
 }
 
@@ -374,7 +374,7 @@ function listen() {
   const on = (name, handle) => source.addEventListener(name, (event) => handle(JSON.parse(event.data)));
   on("metrics", measured);
   on("roster", gathered);
-  on("pass", () => {
+  on("evaluation", () => {
     askHistory();
     snapshots.learn();
     // Clips are rendered one by one after the evaluation.
@@ -403,7 +403,7 @@ function listen() {
       const { ended, command } = (model.about && model.about.farewell) || { ended: "the program" };
       part(`${sentence(ended)} may have ended: nothing answers.`, command);
     }
-    if (model.history.passes.length === 0) askHistory();
+    if (model.history.evaluations.length === 0) askHistory();
     // A response such as 503 closes the source for good; after other failures the browser reconnects by itself.
     if (source.readyState === EventSource.CLOSED) setTimeout(listen, 3000);
   };

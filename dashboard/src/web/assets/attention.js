@@ -29,7 +29,7 @@ export function shade(percent) {
 
 export class Attention {
   /** @type {Attended | null} */
-  told = null;
+  attention = null;
   /**
    * The goal's blocks.
    * @type {number[]}
@@ -58,16 +58,16 @@ export class Attention {
 
   /** @param {Episode} episode */
   show(episode) {
-    this.told = episode.attention;
-    this.parts.part.hidden = !this.told;
-    if (!this.told) return;
+    this.attention = episode.attention;
+    this.parts.part.hidden = !this.attention;
+    if (!this.attention) return;
     this.blocks = episode.goal.map(([block]) => block);
     this.colors = episode.colors;
     const before = this.parts.choice.value || address.get("eye");
-    const options = ["off", ...this.told.sources].map((name, i) => element("option", { value: String(i - 1) }, name));
+    const options = ["off", ...this.attention.sources].map((name, i) => element("option", { value: String(i - 1) }, name));
     this.parts.choice.replaceChildren(...options);
     this.parts.choice.value = options.some((option) => option.value === before) ? before : "-1";
-    this.parts.note.textContent = `Attention of weights ${this.told.weights_version}, no matter who acted. Each row is a block of the goal; the last row is all others.`;
+    this.parts.note.textContent = `Attention of weights ${this.attention.weights_version}, no matter who acted. Each row is a block of the goal; the last row is all others.`;
     this.draw();
   }
 
@@ -77,17 +77,17 @@ export class Attention {
    */
   at(time) {
     const source = Number(this.parts.choice.value);
-    return this.told && source >= 0 ? this.told.percent[source][Math.floor(time)] : null;
+    return this.attention && source >= 0 ? this.attention.percent[source][Math.floor(time)] : null;
   }
 
   draw() {
     const source = Number(this.parts.choice.value);
     this.parts.strip.hidden = source < 0;
     if (source < 0) return;
-    const scenes = this.told.percent[source];
+    const scenes = this.attention.percent[source];
     const rest = (/** @type {number[]} */ scene) => scene.reduce((sum, x, block) => sum + (this.blocks.includes(block) ? 0 : x), 0);
     const rows = [...this.blocks.map((block) => (/** @type {number[]} */ scene) => scene[block]), rest];
-    const label = `Attention of ${this.told.sources[source]} over ${scenes.length - 1} steps`;
+    const label = `Attention of ${this.attention.sources[source]} over ${scenes.length - 1} steps`;
     const drawing = svg("svg", { viewBox: `-3 0 ${scenes.length + 3} ${rows.length}`, preserveAspectRatio: "none", role: "img", "aria-label": label });
     rows.forEach((share, row) => {
       const color = this.blocks[row] === undefined ? [128, 128, 128] : this.colors[this.blocks[row]];
@@ -104,7 +104,7 @@ export class Attention {
 
   /** @param {number} time in scenes */
   seek(time) {
-    if (!this.told || Number(this.parts.choice.value) < 0) return;
+    if (!this.attention || Number(this.parts.choice.value) < 0) return;
     this.now.setAttribute("x1", String(Math.floor(time) + 0.5));
     this.now.setAttribute("x2", String(Math.floor(time) + 0.5));
   }

@@ -348,7 +348,7 @@ export class Chart {
     const { curves, text, isTall, isTold } = this.spec;
     if (isTold === false) return;
     const at = idxs && this.plot ? idxs : null;
-    const told = curves.map(({ name, look, places }, i) => {
+    const readings = curves.map(({ name, look, places }, i) => {
       const known = places.filter(({ y }) => isNumber(y));
       const last = known[known.length - 1];
       const place = at ? this.at(i, at[this.lines[i].main]) : last && { ...last };
@@ -357,12 +357,12 @@ export class Chart {
     });
     const where = at ? ` at ${this.options.axis.text(x)}${this.options.axis.name === "n_env_steps" ? " steps" : ""}` : "";
     if (curves.length === 1) {
-      this.value.textContent = `${told[0].value}${where}`;
+      this.value.textContent = `${readings[0].value}${where}`;
       this.reading.textContent = this.note();
       return;
     }
     this.value.textContent = where.trim();
-    this.reading.replaceChildren(...told.map(({ name, look, value }) => element("span", {}, sample(look), `${name} ${value}`)), this.note());
+    this.reading.replaceChildren(...readings.map(({ name, look, value }) => element("span", {}, sample(look), `${name} ${value}`)), this.note());
   }
 
   /**

@@ -6,7 +6,7 @@ import { placeOf } from "./options.js";
 
 /** @import { Curve, Spec } from "./chart.js" */
 /** @import { Options, Run } from "./options.js" */
-/** @import { Acting, History, Pass, Rate } from "./types" */
+/** @import { Acting, History, Evaluation, Rate } from "./types" */
 
 const GROUPS = ["train 2-6", "train 7-11", "train 12-16", "test 12-16", "test special", "validation 2-6", "validation"];
 /** Success on all blueprints. */
@@ -14,13 +14,13 @@ const ALL = "all";
 
 /**
  * Returns the rate of a group, or of all blueprints, in an evaluation; `null` if it has none.
- * @param {Pass} pass
+ * @param {Evaluation} evaluation
  * @param {string} group
  * @param {Acting} acting
  * @returns {Rate | null}
  */
-function rateOf(pass, group, acting) {
-  const found = group === ALL ? pass.all : pass.groups.find(({ name }) => name === group);
+function rateOf(evaluation, group, acting) {
+  const found = group === ALL ? evaluation.all : evaluation.groups.find(({ name }) => name === group);
   return (found && found[acting]) || null;
 }
 
@@ -32,9 +32,9 @@ function rateOf(pass, group, acting) {
  * @param {Options} options
  */
 function placesOf(run, group, acting, options) {
-  return run.passes.flatMap((pass) => {
-    const rate = rateOf(pass, group, acting);
-    return rate ? [{ x: placeOf(run, pass, options.axis.name), y: rate.rate, low: rate.wilson_low, high: rate.wilson_high }] : [];
+  return run.evaluations.flatMap((evaluation) => {
+    const rate = rateOf(evaluation, group, acting);
+    return rate ? [{ x: placeOf(run, evaluation, options.axis.name), y: rate.rate, low: rate.wilson_low, high: rate.wilson_high }] : [];
   });
 }
 
@@ -57,7 +57,7 @@ function specsOf(runs, acting, options) {
     const curves = GROUPS.map((name, look) => ({ name, look, places: placesOf(runs[0], name, acting, options) }));
     const known = curves.filter(({ places }) => places.length > 0);
     const drawn = known.length > 0 ? known : [{ name: ALL, look: 0, places: placesOf(runs[0], ALL, acting, options) }];
-    const label = `Success by group over ${runs[0].passes.length} evaluations; newest: ${newest(drawn)}`;
+    const label = `Success by group over ${runs[0].evaluations.length} evaluations; newest: ${newest(drawn)}`;
     return [{ ...rates, title: `${acting} actions`, label, curves: drawn, isTall: true }];
   }
   const all = [ALL, ...GROUPS].map((group) => ({
@@ -89,8 +89,8 @@ export class Curves {
    * @param {{ success: Rate, text: string } | null} now
    */
   show(runs, acting, now) {
-    const evaluated = runs.map((run) => ({ ...run, passes: run.passes.filter((pass) => pass.all[acting]) }));
-    const n = Math.max(...evaluated.map(({ passes }) => passes.length));
+    const evaluated = runs.map((run) => ({ ...run, evaluations: run.evaluations.filter((evaluation) => evaluation.all[acting]) }));
+    const n = Math.max(...evaluated.map(({ evaluations }) => evaluations.length));
     if (n === 0) {
       const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : "No evaluation yet; the first comes with the first weights.";
       this.place.replaceChildren(element("p", { class: "empty" }, soFar));
@@ -113,7 +113,7 @@ export class Curves {
  * @param {boolean} isKey whether the groups are the curves above
  */
 export function drawGroups(table, history, isKey) {
-  const last = history.passes[history.passes.length - 1];
+  const last = history.evaluations[history.evaluations.length - 1];
   if (!last) {
     table.replaceChildren();
     return;

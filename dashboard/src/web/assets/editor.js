@@ -85,7 +85,7 @@ export class Editor {
    * The problems that are shown, as JSON.
    * @type {string | null}
    */
-  told = null;
+  lastProblems = null;
   /**
    * The view in 3D, once the board was opened.
    * @type {Desk}
@@ -300,14 +300,14 @@ export class Editor {
     const more = toml ? "It can be built." : problems.length > 0 ? "" : n < 2 ? hint : "Checking …";
     this.parts.say.textContent = n === 0 ? hint : [this.remark, `${counted}.`, more].filter(Boolean).join(" ");
     // Update only on changes, so that screen readers do not repeat the list.
-    const told = JSON.stringify(problems);
-    if (this.told !== told) this.parts.problems.replaceChildren(...problems.map(({ blocks, text }) => {
+    const lastProblems = JSON.stringify(problems);
+    if (this.lastProblems !== lastProblems) this.parts.problems.replaceChildren(...problems.map(({ blocks, text }) => {
       const button = element("button", { type: "button" }, `${sentence(text)}.`);
       // Successive clicks step through the blocks of the problem.
       button.addEventListener("click", () => { if (blocks.length > 0) this.pick(blocks[(blocks.indexOf(this.selected) + 1) % blocks.length]); });
       return element("li", {}, button);
     }));
-    this.told = told;
+    this.lastProblems = lastProblems;
     for (const button of [this.parts.policy, this.parts.expert]) button.disabled = !toml;
     this.parts.save.disabled = n === 0;
     this.parts.match.disabled = !problems.some(({ check }) => check === "polarity");
@@ -543,7 +543,7 @@ export class Editor {
       this.parts.say.textContent = `This file cannot be opened: ${reason}`;
       // The problems of the drawing would look like those of the file. They come back with its next change.
       this.parts.problems.replaceChildren();
-      this.told = null;
+      this.lastProblems = null;
       return;
     }
     /** @type {Findings} */

@@ -18,10 +18,10 @@ export function openGallery(dialog, blueprints, chosen, choose) {
   const close = element("button", { type: "button" }, "Close");
   close.addEventListener("click", () => dialog.close());
   const list = element("div", { class: "gallery" });
-  const told = (/** @type {Blueprint} */ { id, n_blocks: n }) => `${id}, ${n} blocks`;
+  const caption = (/** @type {Blueprint} */ { id, n_blocks: n }) => `${id}, ${n} blocks`;
   const draw = () => {
     const words = find.value.trim().toLowerCase();
-    const shown = blueprints.filter((one) => `${one.title} ${told(one)}, ${one.group || "other"}`.toLowerCase().includes(words));
+    const shown = blueprints.filter((one) => `${one.title} ${caption(one)}, ${one.group || "other"}`.toLowerCase().includes(words));
     /** @type {HTMLElement[]} */
     const parts = [];
     /** @type {string | null | undefined} */
@@ -33,7 +33,7 @@ export function openGallery(dialog, blueprints, chosen, choose) {
       }
       const picture = element("img", { src: answerAt("", "picture", one.id), alt: "", loading: "lazy", width: "200", height: "150" });
       const tile = element("button", { type: "button", "aria-pressed": String(one.id === chosen) }, picture,
-        element("b", {}, one.title), element("span", { class: "quiet" }, told(one)));
+        element("b", {}, one.title), element("span", { class: "quiet" }, caption(one)));
       tile.addEventListener("click", () => {
         dialog.close();
         choose(one.id);

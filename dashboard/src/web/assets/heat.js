@@ -2,7 +2,7 @@
 
 import { $, count, element, percent } from "./format.js";
 
-/** @import { Acting, Counts, History, Pass, Row } from "./types" */
+/** @import { Acting, Counts, History, Evaluation, Row } from "./types" */
 
 /**
  * A row on the canvas, from `y` on, in pixels. `place` is its index in the counts of an evaluation.
@@ -43,9 +43,9 @@ export class Heat {
   rows = [];
   /**
    * The evaluations with these actions; `undefined` until there is a history.
-   * @type {Pass[]}
+   * @type {Evaluation[]}
    */
-  passes;
+  evaluations;
   /** @type {Acting} */
   acting = "greedy";
 
@@ -53,7 +53,7 @@ export class Heat {
    * @param {HTMLCanvasElement} canvas
    * @param {HTMLElement} axis tells the environment steps
    * @param {HTMLElement} cellText tells the cell under the pointer
-   * @param {(row: Row, pass: Pass) => void} opened called when the user opens a cell
+   * @param {(row: Row, evaluation: Evaluation) => void} opened called when the user opens a cell
    */
   constructor(canvas, axis, cellText, opened) {
     this.canvas = canvas;
@@ -82,7 +82,7 @@ export class Heat {
    * @param {Acting} acting
    */
   show(history, acting) {
-    this.passes = history.passes.filter((pass) => pass[acting].some((cell) => cell !== null));
+    this.evaluations = history.evaluations.filter((evaluation) => evaluation[acting].some((cell) => cell !== null));
     this.acting = acting;
     // The server orders blueprints by split and size, which keeps groups together.
     this.all = history.blueprints.map((blueprint, place) => ({ ...blueprint, place, group: blueprint.group || "other" }));
@@ -102,7 +102,7 @@ export class Heat {
   }
 
   open() {
-    if (this.cursor) this.opened(this.rows[this.cursor.row], this.passes[this.cursor.column]);
+    if (this.cursor) this.opened(this.rows[this.cursor.row], this.evaluations[this.cursor.column]);
   }
 
   /**
@@ -135,7 +135,7 @@ export class Heat {
       y += height;
       groups[groups.length - 1].end = y;
     }
-    return { height, names, left, groups, edges: this.edges(left, width), isOne: this.passes.length === 1, total: Math.max(y, 20) };
+    return { height, names, left, groups, edges: this.edges(left, width), isOne: this.evaluations.length === 1, total: Math.max(y, 20) };
   }
 
   /**
@@ -145,8 +145,8 @@ export class Heat {
    * @param {number} width of the canvas
    */
   edges(left, width) {
-    const room = this.passes.length === 1 ? width - left : Math.min(width - left, this.passes.length * WIDEST);
-    const steps = this.passes.map((pass) => pass.n_env_steps);
+    const room = this.evaluations.length === 1 ? width - left : Math.min(width - left, this.evaluations.length * WIDEST);
+    const steps = this.evaluations.map((evaluation) => evaluation.n_env_steps);
     const last = Math.max(steps[steps.length - 1], 1);
     // An evaluation right after another one is still to be seen and clicked.
     const widths = steps.map((step, i) => Math.max(((step - (steps[i - 1] || 0)) / last) * room, Math.min(4, room / steps.length)));
@@ -156,7 +156,7 @@ export class Heat {
   }
 
   draw() {
-    if (!this.passes) return;
+    if (!this.evaluations) return;
     const width = this.canvas.clientWidth;
     if (width === 0) return;
     const at = this.layout(width);
@@ -172,8 +172,8 @@ export class Heat {
     pen.textBaseline = "middle";
     pen.fillStyle = color("--quiet");
     this.drawAxis();
-    $("heat-scale").parentElement.hidden = this.passes.length < 2;
-    if (this.passes.length === 0) {
+    $("heat-scale").parentElement.hidden = this.evaluations.length < 2;
+    if (this.evaluations.length === 0) {
       pen.fillText("No evaluation with these actions yet.", 0, 10);
       return;
     }
@@ -206,8 +206,8 @@ export class Heat {
     const gap = edges.length < 150 ? 1 : 0;
     const crisp = edges.map((x) => Math.round(x * ratio) / ratio);
     for (const row of this.rows) {
-      this.passes.forEach((pass, i) => {
-        const cell = pass[this.acting][row.place];
+      this.evaluations.forEach((evaluation, i) => {
+        const cell = evaluation[this.acting][row.place];
         if (!cell) return;
         pen.fillStyle = heatColor(cell[0] / cell[1]);
         pen.fillRect(crisp[i], row.y, Math.max(crisp[i + 1] - crisp[i] - gap, 1), height - (height > 8 ? 1 : 0));
@@ -224,7 +224,7 @@ export class Heat {
     const { left, height, names, edges } = this.at;
     const room = Math.min(edges[1] - left - 60, 240);
     for (const row of this.rows) {
-      const cell = this.passes[0][this.acting][row.place];
+      const cell = this.evaluations[0][this.acting][row.place];
       const middle = row.y + height / 2;
       pen.fillStyle = color("--line");
       pen.fillRect(left, middle - 0.5, room, 1);
@@ -242,11 +242,11 @@ export class Heat {
     /** @type {{ x: number, steps: number }[]} */
     const marks = [];
     // From the last one on, which always has its mark.
-    for (let i = this.passes.length - 1; i >= 0 && !isOne; i -= 1) {
+    for (let i = this.evaluations.length - 1; i >= 0 && !isOne; i -= 1) {
       const x = edges[i + 1];
-      if (marks.length === 0 || marks[marks.length - 1].x - x > 90) marks.push({ x, steps: this.passes[i].n_env_steps });
+      if (marks.length === 0 || marks[marks.length - 1].x - x > 90) marks.push({ x, steps: this.evaluations[i].n_env_steps });
     }
-    const one = isOne ? [{ x: edges[0] + 80, steps: this.passes[0].n_env_steps }] : marks;
+    const one = isOne ? [{ x: edges[0] + 80, steps: this.evaluations[0].n_env_steps }] : marks;
     this.axis.replaceChildren(...one.map(({ x, steps }, i) => {
       const mark = element("span", {}, i === 0 ? `${count(steps)} steps` : count(steps));
       mark.style.left = `${x}px`;
@@ -259,7 +259,7 @@ export class Heat {
     if (!this.at || this.rows.length === 0) return;
     const column = this.at.edges.findIndex((x, i) => event.offsetX >= x && event.offsetX < this.at.edges[i + 1]);
     const row = this.rows.findIndex((one) => event.offsetY >= one.y && event.offsetY < one.y + this.at.height);
-    this.move(row >= 0 && column >= 0 && column < this.passes.length ? { row, column } : null);
+    this.move(row >= 0 && column >= 0 && column < this.evaluations.length ? { row, column } : null);
   }
 
   /** @param {KeyboardEvent} event */
@@ -269,12 +269,12 @@ export class Heat {
     const step = steps[event.key];
     if (event.key === "Escape") this.move(null);
     if (event.key === "Enter") this.open();
-    if (!step || this.rows.length === 0 || !this.passes || this.passes.length === 0) return;
+    if (!step || this.rows.length === 0 || !this.evaluations || this.evaluations.length === 0) return;
     event.preventDefault();
-    const from = this.cursor || { row: 0, column: this.passes.length - 1 };
+    const from = this.cursor || { row: 0, column: this.evaluations.length - 1 };
     const clamp = (/** @type {number} */ value, /** @type {number} */ n) => Math.min(Math.max(value, 0), n - 1);
     const move = this.cursor ? step : [0, 0];
-    this.move({ row: clamp(from.row + move[0], this.rows.length), column: clamp(from.column + move[1], this.passes.length) });
+    this.move({ row: clamp(from.row + move[0], this.rows.length), column: clamp(from.column + move[1], this.evaluations.length) });
     this.reveal();
   }
 
@@ -286,10 +286,10 @@ export class Heat {
       this.cellText.textContent = "\u00a0";
       return;
     }
-    const [row, pass] = [this.rows[cursor.row], this.passes[cursor.column]];
-    const cell = pass[this.acting][row.place];
+    const [row, evaluation] = [this.rows[cursor.row], this.evaluations[cursor.column]];
+    const cell = evaluation[this.acting][row.place];
     const found = cell ? `${cell[0]} of ${cell[1]} episodes (${percent(cell[0] / cell[1])})` : "not evaluated";
-    this.cellText.textContent = `${row.id}, ${row.split}, ${row.n_blocks} blocks, after ${count(pass.n_env_steps)} steps: ${found}`;
+    this.cellText.textContent = `${row.id}, ${row.split}, ${row.n_blocks} blocks, after ${count(evaluation.n_env_steps)} steps: ${found}`;
   }
 
   /** Scrolls to the chosen row. */

@@ -12,7 +12,7 @@ export const NO_ANSWER = "The program does not answer. Is it still running?";
 /** What the page shows. The events of the server change it. */
 export const model = {
   /** @type {History} */
-  history: { blueprints: [], passes: [], n_left_out: 0, learner: [] },
+  history: { blueprints: [], evaluations: [], n_left_out: 0, learner: [] },
   /** @type {Point[]} */
   points: [],
   /**

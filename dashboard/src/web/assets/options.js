@@ -3,11 +3,11 @@
 import { address } from "./address.js";
 import { $, count, element, isNumber, minutes } from "./format.js";
 
-/** @import { Pass, Point } from "./types" */
+/** @import { Evaluation, Point } from "./types" */
 
 /**
  * A run with its evaluations, and the learner's updates.
- * @typedef {{ name: string, passes: Pass[], points: Point[] }} Run
+ * @typedef {{ name: string, evaluations: Evaluation[], points: Point[] }} Run
  */
 
 /**
@@ -29,21 +29,21 @@ const AXES = [
 /**
  * Returns where an evaluation lies on an axis; not a number if the learner's points do not tell.
  * @param {Run} run
- * @param {Pass} pass
+ * @param {Evaluation} evaluation
  * @param {string} axis
  */
-export function placeOf({ points }, pass, axis) {
-  if (axis === "n_env_steps") return pass.n_env_steps;
-  if (axis === "weights_version") return pass.weights_version;
+export function placeOf({ points }, evaluation, axis) {
+  if (axis === "n_env_steps") return evaluation.n_env_steps;
+  if (axis === "weights_version") return evaluation.weights_version;
   const known = points.filter((point) => isNumber(point[axis]));
   if (known.length === 0) return NaN;
   // A training starts at zero of everything.
   const places = [{ steps: 0, value: 0 }, ...known.map((point) => ({ steps: point.n_env_steps, value: point[axis] }))];
-  const next = places.findIndex(({ steps }) => steps >= pass.n_env_steps);
+  const next = places.findIndex(({ steps }) => steps >= evaluation.n_env_steps);
   if (next < 0) return places[places.length - 1].value;
   if (next === 0) return places[0].value;
   const [from, to] = [places[next - 1], places[next]];
-  return from.value + ((to.value - from.value) * (pass.n_env_steps - from.steps)) / (to.steps - from.steps);
+  return from.value + ((to.value - from.value) * (evaluation.n_env_steps - from.steps)) / (to.steps - from.steps);
 }
 
 /**

@@ -3,7 +3,7 @@
 import { count, percent } from "./format.js";
 import { answerAt, model } from "./model.js";
 
-/** @import { Acting, Pass } from "./types" */
+/** @import { Acting, Evaluation } from "./types" */
 
 /**
  * Weights by the environment steps after which a snapshot kept them; `null` for those of the page.
@@ -126,19 +126,19 @@ export class Snapshots {
   /**
    * Returns the evaluation of weights, if the page knows it.
    * @param {Weights} weights
-   * @returns {Pass | undefined}
+   * @returns {Evaluation | undefined}
    */
-  pass(weights) {
-    const { passes } = model.history;
-    return weights === null ? passes.at(-1) : passes.find(({ n_env_steps: n }) => n === weights);
+  evaluation(weights) {
+    const { evaluations } = model.history;
+    return weights === null ? evaluations.at(-1) : evaluations.find(({ n_env_steps: n }) => n === weights);
   }
 
   /**
    * Says which weights these are, and how often they build.
    * @param {Weights} weights
    */
-  told(weights) {
-    const { [/** @type {Acting} */ (model.acting)]: rate } = this.pass(weights)?.all || { greedy: null, sampled: null };
+  label(weights) {
+    const { [/** @type {Acting} */ (model.acting)]: rate } = this.evaluation(weights)?.all || { greedy: null, sampled: null };
     const built = rate && weights !== null ? `, ${percent(rate.rate)} built` : "";
     const own = model.about?.kind === "training" ? "newest weights" : "the run's policy";
     return weights === null ? own : `after ${count(weights)} steps${built}`;
@@ -149,7 +149,7 @@ export class Snapshots {
    * @param {Weights} weights
    */
   caption(weights) {
-    return weights === null ? this.told(weights) : `policy ${this.told(weights)}`;
+    return weights === null ? this.label(weights) : `policy ${this.label(weights)}`;
   }
 
   /** Shows what is chosen. */
@@ -162,7 +162,7 @@ export class Snapshots {
       input.max = String(this.all.length);
       // One that is no longer there keeps its name, and the server says that it is gone.
       input.value = String(place < 0 ? this.all.length : place);
-      output.textContent = this.told(weights);
+      output.textContent = this.label(weights);
       input.setAttribute("aria-valuetext", output.textContent);
     }
   }

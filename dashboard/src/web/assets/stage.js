@@ -255,7 +255,7 @@ export class Stage {
   success(size) {
     const { blueprints } = model.history;
     const acting = /** @type {Acting} */ (picked(this.parts.mode));
-    const counts = this.snapshots.pass(this.snapshots.chosen)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || [];
+    const counts = this.snapshots.evaluation(this.snapshots.chosen)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || [];
     const [built, all] = [0, 1].map((k) => counts.reduce((sum, cell) => sum + cell[k], 0));
     return all > 0 ? `The policy builds ${percent(built / all)} of those with ${size} blocks.` : "";
   }

@@ -39,7 +39,7 @@ export interface Group {
 export type Counts = [number, number];
 
 /** An evaluation. Its counts are in the order of the history's blueprints. */
-export interface Pass {
+export interface Evaluation {
   weights_version: number;
   /** Environment steps that the learner had consumed. */
   n_env_steps: number;
@@ -71,7 +71,7 @@ export interface Point {
 /** `/api/history` */
 export interface History {
   blueprints: Row[];
-  passes: Pass[];
+  evaluations: Evaluation[];
   n_left_out: number;
   learner: Point[];
 }

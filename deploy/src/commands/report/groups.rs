@@ -4,7 +4,7 @@ use blueprints::Group;
 use proto::ActionMode;
 use proto::metrics::EvalOutcome;
 use proto::wilson::SuccessRate;
-use runlog::Pass;
+use runlog::Evaluation;
 use runlog::series::{group_of, outcome_of};
 
 /// Results of a group with one action mode.
@@ -30,16 +30,16 @@ pub(super) struct GroupRow {
 
 /// Returns the rows of an evaluation: the paper's groups in its order, the validation split, all blueprints, and the
 /// reset-free runs; those that were not evaluated are left out.
-pub(super) fn rows(pass: &Pass) -> Vec<GroupRow> {
+pub(super) fn rows(evaluation: &Evaluation) -> Vec<GroupRow> {
     let mut rows = Vec::new();
     for group in Group::ALL.map(Some).into_iter().chain([None]) {
         for acting in [ActionMode::Greedy, ActionMode::Sampled] {
-            let members = pass.blueprints.iter().filter(|score| group.is_none() || group_of(score) == group);
+            let members = evaluation.blueprints.iter().filter(|score| group.is_none() || group_of(score) == group);
             let outcomes: Vec<&EvalOutcome> = members.filter_map(|score| outcome_of(score, acting)).collect();
             rows.extend(row(group.map_or("all", Group::name), acting, outcomes.len(), &outcomes));
         }
     }
-    if let Some(runs) = &pass.reset_free {
+    if let Some(runs) = &evaluation.reset_free {
         let n_goals = usize::try_from(runs.n_goals).unwrap_or(usize::MAX);
         for (acting, runs) in [(ActionMode::Greedy, &runs.greedy), (ActionMode::Sampled, &runs.sampled)] {
             if runs.outcome.success.n_episodes > 0 {

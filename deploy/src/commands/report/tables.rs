@@ -2,7 +2,7 @@
 
 use proto::ActionMode;
 use proto::wilson::SuccessRate;
-use runlog::Pass;
+use runlog::Evaluation;
 use runlog::series::{Common, Grid, group_rates};
 
 /// One row per blueprint, and one column per evaluation, headed by its environment steps. Missing values are empty.
@@ -18,10 +18,10 @@ pub(super) fn grid(grid: &Grid) -> String {
 }
 
 /// One row per group and evaluation.
-pub(super) fn curves(passes: &[&Pass], acting: ActionMode) -> String {
-    let rows = passes.iter().flat_map(|pass| {
-        let rates = group_rates(pass, acting).into_iter();
-        rates.map(|(group, (rate, n_blueprints))| row(group.name(), pass.n_env_steps, n_blueprints, &rate))
+pub(super) fn curves(evaluations: &[&Evaluation], acting: ActionMode) -> String {
+    let rows = evaluations.iter().flat_map(|evaluation| {
+        let rates = group_rates(evaluation, acting).into_iter();
+        rates.map(|(group, (rate, n_blueprints))| row(group.name(), evaluation.n_env_steps, n_blueprints, &rate))
     });
     csv(std::iter::once(header("group")).chain(rows))
 }

@@ -26,8 +26,8 @@ type Evaluated = Vec<(u64, Vec<Score>)>;
 /// When the history of one cannot be read.
 pub(super) fn of<'r>(runs: impl Iterator<Item = &'r Run>) -> Result<Vec<Moment>, HistoryError> {
     let evaluated = |run: &Run| -> Result<Evaluated, HistoryError> {
-        let passes = History::read(&RunPaths::new(&run.folder).history())?;
-        Ok(lineage(&passes).into_iter().map(|pass| (pass.n_env_steps, scores(pass))).collect())
+        let evaluations = History::read(&RunPaths::new(&run.folder).history())?;
+        Ok(lineage(&evaluations).into_iter().map(|evaluation| (evaluation.n_env_steps, scores(evaluation))).collect())
     };
     Ok(moments(&runs.map(evaluated).collect::<Result<Vec<_>, _>>()?))
 }
@@ -55,14 +55,14 @@ mod tests {
 
     use super::*;
 
-    fn run(passes: &[(u64, &[(&str, f64)])]) -> Evaluated {
+    fn run(evaluations: &[(u64, &[(&str, f64)])]) -> Evaluated {
         let score = |&(group, rate): &(&str, f64)| Score {
             group: group.to_owned(),
             goal: group.to_owned(),
             acting: ActionMode::Greedy,
             rate,
         };
-        passes.iter().map(|(steps, scores)| (*steps, scores.iter().map(score).collect())).collect()
+        evaluations.iter().map(|(steps, scores)| (*steps, scores.iter().map(score).collect())).collect()
     }
 
     #[test]

@@ -101,8 +101,8 @@ impl RunResult {
     /// When its history cannot be read.
     pub(super) fn of_run(folder: &Path, n_env_steps: u64) -> anyhow::Result<Option<Self>> {
         let history = RunPaths::new(folder).history();
-        let passes = if history.exists() { History::read(&history)? } else { Vec::new() };
-        let last = lineage(&passes).pop().filter(|last| last.n_env_steps >= n_env_steps);
+        let evaluations = if history.exists() { History::read(&history)? } else { Vec::new() };
+        let last = lineage(&evaluations).pop().filter(|last| last.n_env_steps >= n_env_steps);
         Ok(last.map(|last| Self::Done { n_env_steps: last.n_env_steps, scores: scores(last) }))
     }
 }

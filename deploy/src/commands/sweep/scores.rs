@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use blueprints::Group;
 use proto::ActionMode;
-use runlog::Pass;
+use runlog::Evaluation;
 use runlog::series::{group_of, outcome_of};
 use serde::{Deserialize, Serialize};
 
@@ -34,17 +34,17 @@ pub(super) struct GroupResult {
 }
 
 /// The success of an evaluation on every goal.
-pub(super) fn scores(pass: &Pass) -> Vec<Score> {
+pub(super) fn scores(evaluation: &Evaluation) -> Vec<Score> {
     let mut scores = Vec::new();
     for acting in [ActionMode::Greedy, ActionMode::Sampled] {
-        for score in &pass.blueprints {
+        for score in &evaluation.blueprints {
             if let (Some(group), Some(outcome)) = (group_of(score), outcome_of(score, acting)) {
                 let (group, goal) = (group.name().to_owned(), score.blueprint.to_string());
                 scores.push(Score { group, goal, acting, rate: outcome.success.rate });
             }
         }
     }
-    let runs = pass
+    let runs = evaluation
         .reset_free
         .iter()
         .flat_map(|runs| [(ActionMode::Greedy, &runs.greedy), (ActionMode::Sampled, &runs.sampled)]);
