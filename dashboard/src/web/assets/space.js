@@ -4,6 +4,7 @@
 import { Gripper } from "./grippers.js";
 import { Ground } from "./ground.js";
 import { Magnets, rgb } from "./magnets.js";
+import { Occlusion } from "./occlusion.js";
 import { entry } from "./solid.js";
 import {
   AmbientLight, BoxGeometry, Color, DirectionalLight, EdgesGeometry, GridHelper,
@@ -131,6 +132,7 @@ export class Space {
    * @type {Mesh[]}
    */
   goal = [];
+  occlusion = new Occlusion();
   /** The middle of the goal in the corner, and the distance of its farthest point, meters. */
   middle = new Vector3();
   reach = 0;
@@ -212,6 +214,7 @@ export class Space {
     this.episode = episode;
     this.grippers = episode.gripper_colors.map((color, i) => new Gripper(i, rgb(color)));
     this.blocks = halves.map((half, block) => blockMesh(half, colors[block], unit));
+    for (const { material } of this.blocks) this.occlusion.shade(material);
     this.ghosts = goal.map(([block]) => ghostMesh(halves[block], colors[block]));
     this.goal = goal.map(([block, pose]) => {
       const mesh = blockMesh(halves[block], colors[block], unit);
@@ -414,6 +417,7 @@ export class Space {
     light.updateProjectionMatrix();
     this.ground.surround(this.camera, target);
     this.ground.shade(this.blocks);
+    this.occlusion.follow(this.blocks);
     this.renderer.setScissorTest(false);
     this.renderer.setViewport(0, 0, width, height);
     this.renderer.clear();
