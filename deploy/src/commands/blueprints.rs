@@ -108,7 +108,7 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
     match n_failed {
         0 => Ok(()),
-        _ => Err(Failure::Blueprints { n_failed, n_files: reports.len() }),
+        _ => Err(Failure::Input(format!("{n_failed} of {} blueprints failed a check", reports.len()))),
     }
 }
 

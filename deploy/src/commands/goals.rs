@@ -13,7 +13,7 @@ use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use runlog::RunPaths;
 
 use super::files::write_files;
-use crate::config::{Override, nearest};
+use crate::config::{Override, nearest, suggestion_or};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -295,9 +295,10 @@ pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<()
 pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
     let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
     let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id)).map(Cow::Borrowed);
-    found.or_else(titled).ok_or_else(|| Failure::UnknownBlueprint {
-        id: id.to_owned(),
-        nearest: nearest(id, catalog.iter().flat_map(|blueprint| [blueprint.id().as_str(), blueprint.title()])),
+    found.or_else(titled).ok_or_else(|| {
+        let nearest = nearest(id, catalog.iter().flat_map(|blueprint| [blueprint.id().as_str(), blueprint.title()]));
+        let suggestion = suggestion_or(&nearest, "; `lodestone blueprints list` lists them");
+        Failure::Input(format!("there is no blueprint `{id}`{suggestion}"))
     })
 }
 

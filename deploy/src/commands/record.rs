@@ -12,7 +12,7 @@ use proto::codec::encode_recording;
 use proto::{ActionMode, Trajectory};
 use tokio_util::sync::CancellationToken;
 
-use super::files::write_files;
+use super::files::{exists, write_files};
 use super::goals::{Goals, is_path, tell_choices};
 use super::models::Source;
 use crate::cli::{PerformerArgs, RecordArgs};
@@ -102,7 +102,7 @@ fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Result<Vec<Cow<'g, Bluepri
 /// Creates the folder.
 fn create(folder: &Path) -> Result<(), Failure> {
     if folder.exists() {
-        return Err(Failure::Exists(folder.to_owned()));
+        return Err(exists(folder));
     }
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     Ok(())

@@ -65,7 +65,7 @@ fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Bluep
             None => catalog.iter().map(Cow::Borrowed).collect(),
         };
         return match (shown.is_empty(), args.split) {
-            (true, Some(split)) => Err(Failure::EmptySplit(split)),
+            (true, Some(split)) => Err(Failure::Input(format!("the catalog has no blueprints of the split {split}"))),
             _ => Ok(shown),
         };
     }

@@ -115,7 +115,7 @@ async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &Vali
 }
 
 fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Failure> {
-    let refused = |reason| Failure::Recording { files: "a live episode".to_owned(), reason };
+    let refused = |reason: String| Failure::Input(format!("a live episode: {reason}"));
     let first = segments.first().ok_or_else(|| refused("is empty".to_owned()))?;
     let goal = goals.find(&first.task.blueprint).map_err(refused)?;
     let episode = Episode::new(segments, &goal).map_err(|error| refused(error.to_string()))?;

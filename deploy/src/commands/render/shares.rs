@@ -72,6 +72,5 @@ pub(super) fn attention<'e>(
     name: &OsStr,
     episode: &'e Episode,
 ) -> Result<EpisodeAttention<'e>, Failure> {
-    EpisodeAttention::new(policy, episode)
-        .map_err(|error| Failure::Recording { files: name.display().to_string(), reason: error.to_string() })
+    EpisodeAttention::new(policy, episode).map_err(|error| Failure::Input(format!("{}: {error}", name.display())))
 }
