@@ -44,33 +44,23 @@ pub struct Origin {
 impl Origin {
     /// Finds the run to continue: the one named with `--resume`, or an existing one with `--auto-resume`.
     pub fn find(args: &RunArgs) -> Self {
-        if let Some(resume) = &args.resume {
-            // A run without a checkpoint starts over. The learner reports any other problem.
-            let paths = RunPaths::new(resume);
-            let continues = learner::checkpoint::exists(&paths.checkpoints()) || !paths.config().exists();
-            return Self { config: Some(resume.clone()), checkpoint: continues.then(|| resume.clone()) };
-        }
-        let Some(folder) =
-            args.run_dir.as_ref().filter(|folder| args.auto_resume && RunPaths::new(*folder).config().exists())
-        else {
+        let is_there = |folder: &&PathBuf| args.auto_resume && RunPaths::new(*folder).config().exists();
+        let Some(folder) = args.resume.as_ref().or_else(|| args.run_dir.as_ref().filter(is_there)) else {
             return Self::default();
         };
-        // A run that was stopped before its first checkpoint starts over.
-        let has_checkpoint = learner::checkpoint::exists(&RunPaths::new(folder).checkpoints());
-        Self { config: Some(folder.clone()), checkpoint: has_checkpoint.then(|| folder.clone()) }
+        // A run without a checkpoint starts over. The learner reports any other problem.
+        let paths = RunPaths::new(folder);
+        let continues = learner::checkpoint::exists(&paths.checkpoints()) || !paths.config().exists();
+        Self { config: Some(folder.clone()), checkpoint: continues.then(|| folder.clone()) }
     }
-}
-
-/// Whether a run has made an update.
-fn has_learned(paths: &RunPaths) -> bool {
-    let has_metrics = fs::metadata(paths.metrics()).is_ok_and(|file| file.len() > 0);
-    has_metrics || learner::checkpoint::exists(&paths.checkpoints())
 }
 
 /// Whether the folder holds more than what a run writes before its services start. A history alone comes from an
 /// evaluator that started before the learner.
 fn has_begun(paths: &RunPaths) -> bool {
-    has_learned(paths) || (paths.config().exists() && paths.history().exists())
+    let has_metrics = fs::metadata(paths.metrics()).is_ok_and(|file| file.len() > 0);
+    let has_learned = has_metrics || learner::checkpoint::exists(&paths.checkpoints());
+    has_learned || (paths.config().exists() && paths.history().exists())
 }
 
 /// What produced a run, in addition to its configuration.
@@ -175,10 +165,7 @@ pub fn runs_in(folder: &Path) -> String {
 }
 
 /// Creates the default folder of a run, `runs/<date>-<name>`, with a number appended if one exists for this minute.
-///
-/// # Errors
-/// When the folder cannot be created.
-pub fn default_folder(config: &Config) -> Result<PathBuf, Failure> {
+fn default_folder(config: &Config) -> Result<PathBuf, Failure> {
     let stamp = utc(SystemTime::now()).replace(':', "");
     make_new(Path::new("runs"), &format!("{stamp}-{}", config.bus.run))
         .map_err(|error| Failure::Checkpoint(anyhow::Error::new(error).context("making a folder in runs")))

@@ -69,14 +69,9 @@ impl Signals {
         tokio::select! {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
-            Some(_) = recv(self.hangup.as_mut()) => {}
+            Some(_) = async { self.hangup.as_mut()?.recv().await } => {}
         }
     }
-}
-
-/// Waits for a signal; `None` at once if it is not handled.
-async fn recv(signal: Option<&mut Signal>) -> Option<()> {
-    signal?.recv().await
 }
 
 /// Whether the process was started to ignore SIGHUP. Where this is unknown (no `/proc`), the signal is left as it is.
