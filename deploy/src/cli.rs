@@ -343,19 +343,6 @@ pub struct EvaluatorArgs {
     pub page: PageArgs,
 }
 
-/// The policy to load.
-#[derive(Clone, Debug, Default, Args)]
-#[group(required = true, multiple = false)]
-pub struct ModelArgs {
-    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
-    /// one of them, or a file written by `export`.
-    #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
-    /// The shipped policy.
-    #[arg(long)]
-    pub pretrained: bool,
-}
-
 /// Arguments of `export`.
 #[derive(Debug, Args)]
 pub struct ExportArgs {

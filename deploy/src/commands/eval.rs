@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use super::expert;
 use super::goals::{Goals, tell_choices};
 use super::models::Source;
-use crate::cli::{EvalArgs, ModelArgs};
+use crate::cli::EvalArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
@@ -28,8 +28,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     if args.expert {
         return expert::run(args, terminal, shutdown);
     }
-    let model = ModelArgs { checkpoint: args.checkpoint.clone(), pretrained: args.pretrained };
-    let source = Source::open(&model)?;
+    let source = Source::of(args.checkpoint.as_deref())?;
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let config = source.config(&overrides)?;
     let selection = if !args.split.is_empty() {

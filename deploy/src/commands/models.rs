@@ -8,7 +8,7 @@ use learner::{Checkpoint, CheckpointError, Model};
 
 use super::best;
 use super::files::write_files;
-use crate::cli::{ExportArgs, ModelArgs};
+use crate::cli::ExportArgs;
 use crate::config::{Base, Config, Override, Preset, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -30,14 +30,6 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Reads the policy that the arguments select.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is damaged.
-    pub(super) fn open(args: &ModelArgs) -> Result<Self, Failure> {
-        Self::of(args.checkpoint.as_deref())
-    }
-
     /// Reads a policy like [`Self::read`], or returns the shipped one.
     ///
     /// # Errors
