@@ -20,7 +20,8 @@ use crate::live::Terminal;
 /// Named blueprints, and a catalog that contains them in addition to the built-in ones.
 pub(super) struct Goals {
     catalog: Arc<Catalog>,
-    /// Blueprints that the built-in catalog lacks: from files, and generated ones.
+    /// Blueprints that the built-in catalog lacks: from files, and generated ones. The folder of a run keeps a copy of
+    /// them.
     own: Vec<BlueprintId>,
     /// The named blueprints.
     ids: Vec<BlueprintId>,
@@ -114,24 +115,13 @@ impl Goals {
     pub(super) fn blueprints(&self) -> Result<Vec<Cow<'_, Blueprint>>, Failure> {
         self.ids.iter().map(|id| find(&self.catalog, id.as_str())).collect()
     }
-}
 
-/// The blueprints that a training learns and evaluates.
-pub(super) struct TrainingGoals {
-    catalog: Arc<Catalog>,
-    /// Blueprints that the built-in catalog lacks; the run's folder keeps a copy of them.
-    own: Vec<BlueprintId>,
-    /// The named blueprints; if empty, the configuration chooses.
-    ids: Vec<String>,
-}
-
-impl TrainingGoals {
-    /// Resolves names, with the blueprints kept with the resumed run in the folder `run`, if any.
+    /// Like [`Self::open_beside`], for goals that a training learns and evaluates.
     ///
     /// # Errors
-    /// As for [`Goals::open`]; also names a blueprint that is held out from training.
-    pub(super) fn open(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
-        let goals = Goals::open_beside(named, run)?;
+    /// As for [`Self::open_beside`]; also names a blueprint that is held out from training.
+    pub(super) fn for_training(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
+        let goals = Self::open_beside(named, run)?;
         for id in goals.ids.iter().chain(&goals.own) {
             let goal = find(&goals.catalog, id.as_str())?;
             if goal.split() != Split::Train {
@@ -149,26 +139,21 @@ impl TrainingGoals {
                 )));
             }
         }
-        let ids = goals.ids.iter().map(ToString::to_string).collect();
-        Ok(Self { catalog: goals.catalog, own: goals.own, ids })
+        Ok(goals)
     }
 
-    /// The catalog of all goals.
-    pub(super) fn catalog(&self) -> &Arc<Catalog> {
-        &self.catalog
-    }
-
-    /// The settings of a training on the named goals alone.
+    /// The settings of a training on the named goals alone; none if the configuration is to choose.
     pub(super) fn settings(&self) -> Vec<Override> {
         if self.ids.is_empty() {
             return Vec::new();
         }
+        let ids: Vec<String> = self.ids.iter().map(ToString::to_string).collect();
         let flag = |path: &str, value: toml::Value| Override::flag("--blueprint", path, value);
         vec![
-            flag("actor.tasks.filter.blueprints", self.ids.clone().into()),
+            flag("actor.tasks.filter.blueprints", ids.clone().into()),
             flag("evaluator.selection.splits", vec!["train"].into()),
             flag("evaluator.selection.sizes", vec![2, N_BLOCKS as i64].into()),
-            flag("evaluator.selection.blueprints", self.ids.clone().into()),
+            flag("evaluator.selection.blueprints", ids.into()),
         ]
     }
 
@@ -185,8 +170,8 @@ impl TrainingGoals {
             (format!("{}.toml", goal.id()), goal.to_toml("a goal that this run was given").into_bytes())
         };
         let own: Vec<&Blueprint> = self.own.iter().filter_map(|id| self.catalog.get(id)).collect();
-        let structures: BTreeMap<&str, String> =
-            own.iter().map(|goal| (goal.id().as_str(), fingerprint(goal))).collect();
+        let structures: BTreeMap<&BlueprintId, String> =
+            own.iter().map(|goal| (goal.id(), fingerprint(goal))).collect();
         let structures = serde_json::to_vec_pretty(&structures).map_err(anyhow::Error::from)?;
         let files = own.iter().map(text).chain([(STRUCTURES.to_owned(), structures)]);
         write_files(&run.blueprints(), &files.collect::<Vec<_>>())?;
@@ -348,7 +333,7 @@ mod tests {
         std::fs::write(&file, format!("blocks = [{blocks}]")).unwrap();
         let named = [file.clone().into(), "6_005".into()];
         assert_eq!(inferred(&named).unwrap().len(), 5);
-        let goals = TrainingGoals::open(&named, None).unwrap();
+        let goals = Goals::for_training(&named, None).unwrap();
         let config =
             crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
                 .unwrap();
@@ -366,7 +351,7 @@ mod tests {
         goals.keep(&run).unwrap();
         std::fs::write(run.config(), config.to_toml()).unwrap();
         std::fs::remove_file(&file).unwrap();
-        let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
+        let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
         assert_eq!(selected(resumed.catalog()), ["6_005", "my-tower"]);
         assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
         let evaluated = Goals::open_beside(&["my-tower".into()], Some(&run.checkpoints().join("step-1"))).unwrap();
@@ -375,7 +360,7 @@ mod tests {
         let kept = run.blueprints().join("my-tower.toml");
         let other = Catalog::builtin().get(&"3_001".parse().unwrap()).unwrap().to_toml("another structure");
         std::fs::write(&kept, other.replace("\"3_001\"", "\"my-tower\"")).unwrap();
-        let error = TrainingGoals::open(&[], Some(run.folder())).err().unwrap();
+        let error = Goals::for_training(&[], Some(run.folder())).err().unwrap();
         assert!(matches!(error, Failure::Checkpoint(_)), "{error}");
         assert!(error.to_string().contains("my-tower is not the structure that the run began with"), "{error}");
     }
@@ -414,11 +399,11 @@ mod tests {
     #[test]
     fn a_generated_goal_is_trained_on_and_kept() {
         let folder = tempfile::tempdir().unwrap();
-        let goals = TrainingGoals::open(&["gen1-arch-7_6_000".into()], None).unwrap();
+        let goals = Goals::for_training(&["gen1-arch-7_6_000".into()], None).unwrap();
         let run = RunPaths::new(folder.path().join("run"));
         goals.keep(&run).unwrap();
         std::fs::write(run.config(), "").unwrap();
-        let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
+        let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
         let id = "gen1-arch-7_6_000".parse().unwrap();
         assert_eq!(resumed.catalog().get(&id), goals.catalog().get(&id));
         assert!(goals.catalog().get(&id).is_some());
@@ -436,7 +421,7 @@ mod tests {
             ("validation_7_000".to_owned(), "of the split validation, which is held out"),
             ("6-005".to_owned(), "did you mean `6_005`"),
         ] {
-            let message = TrainingGoals::open(&[name.into()], None).err().unwrap().to_string();
+            let message = Goals::for_training(&[name.into()], None).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
     }

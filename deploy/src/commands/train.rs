@@ -18,11 +18,11 @@ use proto::{ActorId, Valid, Weights};
 use runlog::RunPaths;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
-use tokio::task::{JoinError, JoinHandle, JoinSet};
+use tokio::task::{JoinHandle, JoinSet};
 use tokio_util::sync::CancellationToken;
 
 use super::common::{configure, join_bus, json, origin, serve_command};
-use super::goals::{TrainingGoals, tell_choices};
+use super::goals::{Goals, tell_choices};
 use super::in_process::InProcess;
 use super::runtime::on_runtime;
 use super::services;
@@ -75,7 +75,7 @@ pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failu
         )));
     }
     tell_choices(&args.blueprint, &said)?;
-    let goals = TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
+    let goals = Goals::for_training(&args.blueprint, origin.config.as_deref())?;
     let flags = args.run.overrides().into_iter().chain(goals.settings());
     let flags = flags.chain(given.into_iter().flatten()).collect();
     let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
@@ -97,7 +97,7 @@ pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failu
 pub(super) async fn run(
     settings: &Settings,
     args: &TrainArgs,
-    goals: &TrainingGoals,
+    goals: &Goals,
     origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
@@ -210,9 +210,9 @@ impl Views {
 
     /// Waits until all is printed, and returns the last report.
     async fn close(self) -> Result<Option<Arc<EvalReport>>, Failure> {
-        self.learning.await.map_err(panicked)?;
-        self.progress.await.map_err(panicked)?;
-        self.evaluations.await.map_err(panicked)
+        services::finished(self.learning).await?;
+        services::finished(self.progress).await?;
+        services::finished(self.evaluations).await
     }
 }
 
@@ -247,7 +247,11 @@ impl Services<'_> {
             let setup = ActorSetup { catalog: self.catalog.clone(), ..services::actor_setup(self.config, id) };
             // The learner's lines and bar count all actors.
             let metrics = watch::channel(None).0;
-            running.spawn(services::actor(setup, self.bus.clone(), metrics, training.clone()));
+            let bus = self.bus.clone();
+            let shutdown = training.clone();
+            running.spawn(
+                async move { actor::run(setup, &bus, metrics, shutdown).await.map(drop).map_err(Failure::from) },
+            );
         }
         let stop = Stop { now: self.shutdown.clone(), last: Some(last_weights.clone()) };
         let setup = EvaluatorSetup {
@@ -260,7 +264,7 @@ impl Services<'_> {
             // Any service that ends, even without an error, ends the run, because the others have nothing to do without
             // it. Only the evaluator may still have work: the last evaluation.
             training.cancel();
-            ended = ended.and(service.map_err(panicked).flatten());
+            ended = ended.and(service.map_err(|panic| Failure::Service(panic.into())).flatten());
             let is_evaluated = self.config.evaluator.evaluate_last && last_weights.borrow().is_some() && ended.is_ok();
             if !is_evaluated {
                 self.shutdown.cancel();
@@ -295,10 +299,6 @@ impl Services<'_> {
             Ok(())
         }
     }
-}
-
-fn panicked(panic: JoinError) -> Failure {
-    Failure::Service(panic.into())
 }
 
 /// The bus with a socket in the run's folder, so that `watch` finds it; without one if the file system or the keys rule
