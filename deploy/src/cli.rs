@@ -26,8 +26,8 @@ mod watch;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
-pub use self::record::{GoalArgs, PerformerArgs, RecordArgs};
-pub use self::render::{LiveArgs, RenderArgs, VideoFormat};
+pub use self::record::{GoalArgs, RecordArgs};
+pub use self::render::{RenderArgs, VideoFormat};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
@@ -188,7 +188,11 @@ pub enum Command {
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),
     /// Print shell completions; load them with `source <(lodestone completions bash)`.
-    Completions(CompletionsArgs),
+    Completions {
+        /// The shell.
+        #[arg(value_name = "SHELL", value_enum)]
+        shell: Shell,
+    },
 }
 
 impl Command {
@@ -204,14 +208,6 @@ impl Command {
             _ => true,
         }
     }
-}
-
-/// Arguments of `completions`.
-#[derive(Debug, Args)]
-pub struct CompletionsArgs {
-    /// The shell.
-    #[arg(value_name = "SHELL", value_enum)]
-    pub shell: Shell,
 }
 
 /// Arguments of `train`.

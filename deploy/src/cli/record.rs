@@ -11,9 +11,19 @@ use super::StartArg;
 /// Arguments of `record`.
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// The policy or expert that acts.
-    #[command(flatten)]
-    pub performer: PerformerArgs,
+    /// The shipped policy; this is the default.
+    #[arg(long, conflicts_with_all = ["checkpoint", "expert"])]
+    pub pretrained: bool,
+    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
+    /// one of them, or a file written by `export`.
+    #[arg(long, value_name = "DIR_OR_FILE")]
+    pub checkpoint: Option<PathBuf>,
+    /// The scripted expert.
+    #[arg(long, conflicts_with = "checkpoint")]
+    pub expert: bool,
+    /// Sample the policy's actions instead of acting greedily.
+    #[arg(long, conflicts_with = "expert")]
+    pub sampled: bool,
     /// The blueprints to build.
     #[command(flatten)]
     pub goals: GoalArgs,
@@ -35,24 +45,6 @@ pub struct RecordArgs {
     /// Set one configuration key, for example environment.episode_steps=200; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-}
-
-/// The policy or expert that acts.
-#[derive(Clone, Debug, Default, Args)]
-pub struct PerformerArgs {
-    /// The shipped policy; this is the default.
-    #[arg(long, conflicts_with_all = ["checkpoint", "expert"])]
-    pub pretrained: bool,
-    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
-    /// one of them, or a file written by `export`.
-    #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
-    /// The scripted expert.
-    #[arg(long, conflicts_with = "checkpoint")]
-    pub expert: bool,
-    /// Sample the policy's actions instead of acting greedily.
-    #[arg(long, conflicts_with = "expert")]
-    pub sampled: bool,
 }
 
 /// The blueprints to build.

@@ -44,14 +44,6 @@ pub struct RenderArgs {
     /// Print what each head attends to, averaged over all scenes of all files, and write it to attention.csv; no videos.
     #[arg(long, requires = "attention", conflicts_with_all = ["format", "fps", "width", "connect"])]
     pub table: bool,
-    /// Live episodes of a run's actors.
-    #[command(flatten)]
-    pub live: LiveArgs,
-}
-
-/// The live episodes that `render` waits for.
-#[derive(Debug, Args)]
-pub struct LiveArgs {
     /// Watch the actors of a running training instead, through the router at this endpoint; may be repeated.
     #[arg(long, value_name = "ENDPOINT", value_delimiter = ',', value_parser = endpoint, conflicts_with = "files")]
     pub connect: Vec<String>,

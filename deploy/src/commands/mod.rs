@@ -45,10 +45,10 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown)),
-        Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
+        Command::Render(args) if args.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
-        Command::Completions(args) => {
-            completions::completions(&args, terminal);
+        Command::Completions { shell } => {
+            completions::completions(shell, terminal);
             Ok(())
         }
         Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown)),

@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 use super::files::{exists, write_files};
 use super::goals::{Goals, is_path, tell_choices};
 use super::models::Source;
-use crate::cli::{PerformerArgs, RecordArgs};
+use crate::cli::RecordArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
@@ -38,17 +38,16 @@ struct Recording<'a> {
 pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     Override::only_in(&["environment", "policy"], &overrides)?;
-    let PerformerArgs { checkpoint, expert, sampled, .. } = &args.performer;
     // The expert acts in the world of the shipped policy.
-    let source = Source::of(checkpoint.as_deref())?;
+    let source = Source::of(args.checkpoint.as_deref())?;
     let config = source.config(&overrides)?;
     tell_choices(&args.goals.blueprint, terminal)?;
-    let goals = Goals::open_beside(&args.goals.blueprint, checkpoint.as_deref())?;
+    let goals = Goals::open_beside(&args.goals.blueprint, args.checkpoint.as_deref())?;
     let selected = select(&goals, args)?;
     let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let performer =
-        if *expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
-    let acting = if *sampled { ActionMode::Sampled } else { ActionMode::Greedy };
+        if args.expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
+    let acting = if args.sampled { ActionMode::Sampled } else { ActionMode::Greedy };
     create(&args.out)?;
     let setup = EvalSetup {
         catalog: goals.catalog(),

@@ -22,7 +22,7 @@ use super::names::names;
 use super::stage::stage;
 use super::sweep;
 use crate::cli::ServeArgs;
-use crate::config::{Base, Config, merge, read};
+use crate::config::{Config, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_run, origin_of, preset_of};
@@ -118,9 +118,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
 fn configuration(paths: &RunPaths) -> Result<Valid<Config>, Failure> {
     check_run(paths.folder())?;
     let path = paths.config();
-    let text = read(&path)?;
-    let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;
-    Ok(config.checked()?)
+    Ok(Config::parse(&read(&path)?, &path.display().to_string())?.checked()?)
 }
 
 /// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.
