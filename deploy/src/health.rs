@@ -34,28 +34,28 @@ const NEW: &str = ".new.";
 
 /// State of a service.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct State {
+pub(crate) struct State {
     /// Role of the service, for example `actor`.
-    pub role: String,
+    pub(crate) role: String,
     /// Process id.
-    pub pid: u32,
+    pub(crate) pid: u32,
     /// When this state was written, in milliseconds since 1970.
-    pub unix_ms: u64,
+    pub(crate) unix_ms: u64,
     /// Whether the process reaches a router, or is one.
-    pub connected: bool,
+    pub(crate) connected: bool,
     /// Seconds since the main loop last made progress; 0 while it waits for other processes.
-    pub idle_s: f64,
+    pub(crate) idle_s: f64,
     /// Of a router with keys: what became of connections to it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub joins: Option<JoinCounts>,
+    pub(crate) joins: Option<JoinCounts>,
     /// Why the service waits, if nothing can be saved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub not_saved: Option<NotSaved>,
+    pub(crate) not_saved: Option<NotSaved>,
 }
 
 /// Writes the state of this process to a file, and removes the file when dropped.
 #[derive(Debug)]
-pub struct Reporter {
+pub(crate) struct Reporter {
     file: Option<PathBuf>,
     bus: watch::Sender<Option<Bus>>,
     task: Option<JoinHandle<()>>,
@@ -63,10 +63,7 @@ pub struct Reporter {
 
 impl Reporter {
     /// Starts writing, if a file is given.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
-    pub fn start(role: &str, file: Option<&Path>) -> Result<Self, Failure> {
+    pub(crate) fn start(role: &str, file: Option<&Path>) -> Result<Self, Failure> {
         let (sender, bus) = watch::channel(None);
         let Some(path) = file.map(Path::to_owned) else { return Ok(Self { file: None, bus: sender, task: None }) };
         let role = role.to_owned();
@@ -101,7 +98,7 @@ impl Reporter {
     }
 
     /// Reports on the service of this bus session from now on.
-    pub fn joined(&self, bus: &Bus) {
+    pub(crate) fn joined(&self, bus: &Bus) {
         self.bus.send_replace(Some(bus.clone()));
     }
 }
@@ -123,7 +120,7 @@ impl Drop for Reporter {
 ///
 /// # Errors
 /// [`Failure::Unhealthy`] with the reason.
-pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
+pub(crate) fn check(file: &Path, alive: bool) -> Result<State, Failure> {
     let unhealthy = |reason: String| Err(Failure::Unhealthy(reason));
     let text = match outside::read_text(file, MAX_BYTES) {
         Ok(text) => text,

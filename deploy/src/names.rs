@@ -12,10 +12,7 @@ const N_LETTERS: usize = 10;
 
 /// Returns `<role>-<10 letters and digits>`. The randomness comes from the operating system, because process ids and
 /// times are the same in containers that start alike.
-///
-/// # Errors
-/// When the operating system provides no randomness.
-pub fn random_name(role: &str) -> Result<String, SysError> {
+pub(crate) fn random_name(role: &str) -> Result<String, SysError> {
     Ok(format!("{role}-{}", random_text(LETTERS, N_LETTERS)?))
 }
 

@@ -41,9 +41,6 @@ struct Verdict<'a> {
 }
 
 /// Runs the subcommand.
-///
-/// # Errors
-/// When a file cannot be read or written, a check fails, a blueprint is unknown, or nothing can be generated.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),

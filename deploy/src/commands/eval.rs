@@ -21,9 +21,6 @@ use crate::live::{self, EpisodeCounter, Terminal};
 ///
 /// The world and the seed come from the configuration of the run that trained the policy, or from the defaults. So do,
 /// without `--split`, the blueprints, which are those of the run's last evaluation; the shipped policy gets the paper's.
-///
-/// # Errors
-/// When the policy or the run's configuration cannot be read, an episode cannot be started, or `shutdown` came first.
 pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     if args.expert {
         return expert::run(args, terminal, shutdown);

@@ -109,9 +109,6 @@ impl Goals {
     }
 
     /// The named blueprints in the order in which they were named; empty if none were.
-    ///
-    /// # Errors
-    /// Never, once [`Self::open`] has succeeded.
     pub(super) fn blueprints(&self) -> Result<Vec<Cow<'_, Blueprint>>, Failure> {
         self.ids.iter().map(|id| find(&self.catalog, id.as_str())).collect()
     }
@@ -159,9 +156,6 @@ impl Goals {
 
     /// Writes blueprints that the built-in catalog lacks to the run's folder, so that the run can resume without the
     /// original files, and what tells whether they are still the same.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
     pub(super) fn keep(&self, run: &RunPaths) -> Result<(), Failure> {
         if self.own.is_empty() {
             return Ok(());
@@ -211,9 +205,6 @@ fn fingerprint(blueprint: &Blueprint) -> String {
 }
 
 /// Checks that the blueprints kept with a run have the structures that the run began with.
-///
-/// # Errors
-/// Names the blueprint that was replaced.
 fn check_unchanged(folder: &Path, kept: &Catalog) -> Result<(), Failure> {
     let path = folder.join(STRUCTURES);
     if !path.exists() {
@@ -245,9 +236,6 @@ pub(super) fn run_of(path: &Path) -> Option<RunPaths> {
 }
 
 /// What was inferred to complete the files and folders among `named`, one line each.
-///
-/// # Errors
-/// When a file cannot be read.
 pub(super) fn inferred(named: &[OsString]) -> Result<Vec<String>, Failure> {
     let mut lines = Vec::new();
     for path in named.iter().filter(|name| is_path(name)) {
@@ -259,9 +247,6 @@ pub(super) fn inferred(named: &[OsString]) -> Result<Vec<String>, Failure> {
 }
 
 /// Prints the choices made for blocks, in the files among `named`, that could be oriented in several ways.
-///
-/// # Errors
-/// When a file cannot be read.
 pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<(), Failure> {
     for path in named.iter().filter(|name| is_path(name)) {
         for (file, text) in read_files(Path::new(path))? {

@@ -31,9 +31,6 @@ pub(super) struct Source {
 
 impl Source {
     /// Reads a policy like [`Self::read`], or returns the shipped one.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is damaged.
     pub(super) fn of(checkpoint: Option<&Path>) -> Result<Self, Failure> {
         match checkpoint {
             Some(path) => Self::read(path),
@@ -55,9 +52,6 @@ impl Source {
 
     /// Reads an exported file, a checkpoint, the best policy of a run or else its newest checkpoint, or the newest of a
     /// folder of checkpoints.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is damaged, or no policy can act with its weights.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
         let source = Self::read_untried(path)?;
         // Whoever waits for an action of such a policy would wait forever.
@@ -112,9 +106,6 @@ impl Source {
     }
 
     /// The configuration with `overrides` applied and the policy section of the model.
-    ///
-    /// # Errors
-    /// When an override is wrong or the result is not valid.
     pub(super) fn config(&self, overrides: &[Override]) -> Result<Valid<Config>, Failure> {
         let (text, origin) = &self.config;
         let config = merge(text, origin, Base::Defaults, overrides)?;
@@ -123,9 +114,6 @@ impl Source {
 }
 
 /// Runs `export`.
-///
-/// # Errors
-/// When there is no complete checkpoint, or the file exists or cannot be written.
 pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let mut model = Source::read(&args.checkpoint)?.model;
     // Of this run, and nothing that acting needs.

@@ -29,9 +29,6 @@ const NAME: &str = "play";
 const N_EPISODES: u32 = 4;
 
 /// The configuration of a run that consists of the evaluator only, for the blueprints `named`, or for all.
-///
-/// # Errors
-/// When the policy cannot be read or a setting is not valid.
 pub(super) fn configure(source: &Source, named: &[BlueprintId], args: &PlayArgs) -> Result<Valid<Config>, Failure> {
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let mut overrides = vec![
@@ -55,9 +52,6 @@ pub(super) fn configure(source: &Source, named: &[BlueprintId], args: &PlayArgs)
 }
 
 /// Serves the page until `shutdown`, and evaluates the policy once if that is asked for.
-///
-/// # Errors
-/// When the page's address is taken, the folder cannot be written, or the evaluation fails.
 pub(super) async fn run(
     source: Source,
     goals: &Goals,

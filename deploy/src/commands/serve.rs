@@ -31,9 +31,6 @@ use crate::run_dir::{check_run, origin_of, preset_of};
 const MAX_RUNS: usize = 60;
 
 /// Serves the page until `shutdown`, or writes the copy.
-///
-/// # Errors
-/// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let sweep = match &args.runs[..] {
         [folder] => sweep::results(folder)?,

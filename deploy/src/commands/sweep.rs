@@ -87,9 +87,6 @@ pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: Cancell
 }
 
 /// The results of the sweep in the folder, with curves; `None` if it is no sweep.
-///
-/// # Errors
-/// When its plan, a result, or the history of a run cannot be read.
 pub(super) fn results(folder: &Path) -> Result<Option<Results>, Failure> {
     crate::run_dir::check_exists(folder)?;
     if !folder.join(plan::FILE).exists() {

@@ -55,9 +55,6 @@ pub(super) struct Summary {
 }
 
 /// Runs `train`.
-///
-/// # Errors
-/// When the settings, the goals, or the run to continue cannot be used, and those of [`run`].
 pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failure> {
     let listen = (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
     let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));

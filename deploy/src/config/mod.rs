@@ -33,9 +33,6 @@ pub use variables::check_variables;
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Reads a configuration file.
-///
-/// # Errors
-/// Names the file that cannot be read or is too large.
 pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
     outside::read_text(path, MAX_FILE_BYTES).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
 }

@@ -13,9 +13,6 @@ use crate::exit::Failure;
 use crate::live::Terminal;
 
 /// Writes one file per blueprint and prints a line for each; never replaces a file.
-///
-/// # Errors
-/// When there are too few structures of that style and size, a file exists, or a file cannot be written.
 pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failure> {
     let known: BTreeSet<u64> = Catalog::builtin().iter().map(Blueprint::canonical_hash).collect();
     let made = generate_many(args.style, args.seed, usize::from(args.size), usize::from(args.count), &known)?;

@@ -21,9 +21,6 @@ const CARD_COLORS: usize = 256;
 const SHEET_COLORS: usize = 96;
 
 /// Runs the subcommand. Draws everything before it writes the first file.
-///
-/// # Errors
-/// When the catalog cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
     // With --path, ids refer to its blueprints.

@@ -17,9 +17,6 @@ use crate::exit::Failure;
 use crate::live::Terminal;
 
 /// Waits for complete episodes and makes videos of them. After `shutdown`, makes videos of those received so far.
-///
-/// # Errors
-/// When the bus cannot be joined, an episode does not arrive in time, its goal is unknown, or a video cannot be made.
 pub(in crate::commands) async fn run(
     args: &RenderArgs,
     terminal: &Terminal,
