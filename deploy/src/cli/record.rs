@@ -13,38 +13,37 @@ use super::StartArg;
 pub struct RecordArgs {
     /// The shipped policy; this is the default.
     #[arg(long, conflicts_with_all = ["checkpoint", "expert"])]
-    pub pretrained: bool,
+    pub(crate) pretrained: bool,
     /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
     /// one of them, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
+    pub(crate) checkpoint: Option<PathBuf>,
     /// The scripted expert.
     #[arg(long, conflicts_with = "checkpoint")]
-    pub expert: bool,
+    pub(crate) expert: bool,
     /// Sample the policy's actions instead of acting greedily.
     #[arg(long, conflicts_with = "expert")]
-    pub sampled: bool,
-    /// The blueprints to build.
+    pub(crate) sampled: bool,
     #[command(flatten)]
-    pub goals: GoalArgs,
+    pub(crate) goals: GoalArgs,
     /// Episodes per blueprint.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: u32,
+    pub(crate) episodes: u32,
     /// How episodes begin; mixed: every fifth with another blueprint already built.
     #[arg(long, value_enum, default_value_t = StartArg::Scattered)]
-    pub start: StartArg,
+    pub(crate) start: StartArg,
     /// Seed of the start states and of sampled actions.
     #[arg(long, value_name = "S", default_value_t = 0)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// New folder for the trajectories, one file per episode.
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
-    pub threads: Option<u16>,
+    pub(crate) threads: Option<u16>,
     /// Set one configuration key, for example environment.episode_steps=200; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
 }
 
 /// The blueprints to build.
@@ -53,9 +52,9 @@ pub struct RecordArgs {
 pub struct GoalArgs {
     /// This blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated.
     #[arg(long, value_name = "S")]
-    pub split: Vec<Split>,
+    pub(crate) split: Vec<Split>,
 }
