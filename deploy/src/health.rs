@@ -56,16 +56,16 @@ pub(crate) struct State {
 /// Writes the state of this process to a file, and removes the file when dropped.
 #[derive(Debug)]
 pub(crate) struct Reporter {
-    file: Option<PathBuf>,
     bus: watch::Sender<Option<Bus>>,
-    task: Option<JoinHandle<()>>,
+    /// The file and the task that writes it.
+    writing: Option<(PathBuf, JoinHandle<()>)>,
 }
 
 impl Reporter {
     /// Starts writing, if a file is given.
     pub(crate) fn start(role: &str, file: Option<&Path>) -> Result<Self, Failure> {
         let (sender, bus) = watch::channel(None);
-        let Some(path) = file.map(Path::to_owned) else { return Ok(Self { file: None, bus: sender, task: None }) };
+        let Some(path) = file.map(Path::to_owned) else { return Ok(Self { bus: sender, writing: None }) };
         let role = role.to_owned();
         remove_leftovers(&path);
         write(&path, &state(&role, false, Duration::ZERO))
@@ -94,7 +94,7 @@ impl Reporter {
                 tokio::time::sleep(PERIOD).await;
             }
         });
-        Ok(Self { file: Some(path), bus: sender, task: Some(task) })
+        Ok(Self { bus: sender, writing: Some((path, task)) })
     }
 
     /// Reports on the service of this bus session from now on.
@@ -105,10 +105,8 @@ impl Reporter {
 
 impl Drop for Reporter {
     fn drop(&mut self) {
-        if let Some(task) = &self.task {
+        if let Some((file, task)) = &self.writing {
             task.abort();
-        }
-        if let Some(file) = &self.file {
             // Without the file, the process counts as gone, which it soon is.
             let _ = fs::remove_file(file);
         }
@@ -121,31 +119,25 @@ impl Drop for Reporter {
 /// # Errors
 /// [`Failure::Unhealthy`] with the reason.
 pub(crate) fn check(file: &Path, alive: bool) -> Result<State, Failure> {
-    let unhealthy = |reason: String| Err(Failure::Unhealthy(reason));
-    let text = match outside::read_text(file, MAX_BYTES) {
-        Ok(text) => text,
-        Err(error) => return unhealthy(format!("no service reports at {}: {error}", file.display())),
-    };
-    let state: State = match serde_json::from_str(&text) {
-        Ok(state) => state,
-        Err(error) => return unhealthy(format!("{} holds no state: {error}", file.display())),
-    };
+    let text = outside::read_text(file, MAX_BYTES)
+        .map_err(|error| Failure::Unhealthy(format!("no service reports at {}: {error}", file.display())))?;
+    let state: State = serde_json::from_str(&text)
+        .map_err(|error| Failure::Unhealthy(format!("{} holds no state: {error}", file.display())))?;
     let role = &state.role;
     // A state from the future was left behind before the clock was set back.
     let age = Duration::from_millis(unix_ms().abs_diff(state.unix_ms));
-    if age > MAX_AGE {
-        return unhealthy(format!("the {role} has given no sign of life for {} s", age.as_secs()));
-    }
-    if state.idle_s > MAX_IDLE.as_secs_f64() {
-        return unhealthy(format!("the {role}'s main loop has not turned for {:.0} s", state.idle_s));
-    }
-    if !alive && !state.connected {
-        return unhealthy(format!("the {role} reaches no router"));
-    }
-    if let Some(not_saved) = state.not_saved.as_ref().filter(|_| !alive) {
-        return unhealthy(format!("{role}: {}", waits(not_saved)));
-    }
-    Ok(state)
+    let reason = if age > MAX_AGE {
+        format!("the {role} has given no sign of life for {} s", age.as_secs())
+    } else if state.idle_s > MAX_IDLE.as_secs_f64() {
+        format!("the {role}'s main loop has not turned for {:.0} s", state.idle_s)
+    } else if !alive && !state.connected {
+        format!("the {role} reaches no router")
+    } else if let Some(not_saved) = state.not_saved.as_ref().filter(|_| !alive) {
+        format!("{role}: {}", waits(not_saved))
+    } else {
+        return Ok(state);
+    };
+    Err(Failure::Unhealthy(reason))
 }
 
 fn state(role: &str, connected: bool, idle: Duration) -> State {

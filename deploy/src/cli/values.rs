@@ -5,14 +5,14 @@ use std::path::PathBuf;
 
 use clap::builder::{OsStringValueParser, TypedValueParser};
 
+use crate::config::is_whole;
+
 /// Parses a number of environment steps: `1000000`, `1_000_000`, `1e6`, or `2.5e6`.
 pub(super) fn steps(text: &str) -> Result<i64, String> {
-    /// Beyond this, not every whole number is a float.
-    const MAX_EXACT: f64 = 9e15;
     let digits = text.replace('_', "");
     let number = digits.parse::<i64>().ok().or_else(|| {
         let number: f64 = digits.parse().ok()?;
-        (number.fract() == 0.0 && number.abs() <= MAX_EXACT).then_some(number as i64)
+        is_whole(number).then_some(number as i64)
     });
     match number {
         Some(number) if number >= 1 => Ok(number),

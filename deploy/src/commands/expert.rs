@@ -6,8 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context;
-use blueprints::Group;
-use blueprints::{Blueprint, Catalog, Split};
+use blueprints::{Blueprint, Catalog, Group};
 use evaluator::{
     EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, Selection, evaluate_expert_followed, render_expert,
 };
@@ -57,10 +56,12 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open(&args.blueprint)?;
     let (catalog, named) = (goals.catalog(), goals.blueprints()?);
+    let mut selection = Selection::default();
+    if !args.split.is_empty() {
+        selection.splits = args.split.clone();
+    }
     let blueprints: Vec<&Blueprint> = match named.is_empty() {
-        true => Selection { splits: splits(args), ..Selection::default() }
-            .select(catalog)
-            .map_err(|error| Failure::Usage(error.to_string()))?,
+        true => selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?,
         false => named.iter().map(AsRef::as_ref).collect(),
     };
     for folder in args.explain.iter().chain(&args.record) {
@@ -106,10 +107,6 @@ fn defaults(overrides: &[Override]) -> Result<Valid<Config>, Failure> {
     // No policy acts here.
     config.policy.features.n_grippers = config.environment.n_grippers;
     Ok(config.checked()?)
-}
-
-fn splits(args: &EvalArgs) -> Vec<Split> {
-    if args.split.is_empty() { Split::PAPER.to_vec() } else { args.split.clone() }
 }
 
 /// Writes replays of the first success and the first failure of each group.

@@ -1,7 +1,7 @@
 //! Loads policies: from checkpoints, from exported files, and the shipped one.
 
 use proto::Valid;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use evaluator::Policy;
 use learner::{Checkpoint, CheckpointError, Model};
@@ -32,10 +32,7 @@ pub(super) struct Source {
 impl Source {
     /// Reads a policy like [`Self::read`], or returns the shipped one.
     pub(super) fn of(checkpoint: Option<&Path>) -> Result<Self, Failure> {
-        match checkpoint {
-            Some(path) => Self::read(path),
-            None => Self::pretrained(),
-        }
+        checkpoint.map_or_else(Self::pretrained, Self::read)
     }
 
     /// Returns the policy that a training starts from: `pretrained`, or anything that [`Self::read`] accepts.
@@ -73,7 +70,9 @@ impl Source {
         if let Some(best) = Self::best(path) {
             return best;
         }
-        let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(|error| match error {
+        let inside = RunPaths::new(path).checkpoints();
+        let folder = if inside.is_dir() { inside.as_path() } else { path };
+        let found = Checkpoint::read_latest(folder).map_err(|error| match error {
             CheckpointError::Absent(_) => Failure::Checkpoint(anyhow::anyhow!("{error}{}", runs_in(path))),
             error => unusable(error),
         })?;
@@ -136,12 +135,6 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
         n_bytes.div_ceil(1000)
     ));
     Ok(())
-}
-
-/// The folder of checkpoints for a run's folder; a checkpoint's folder is returned as it is.
-fn checkpoint_folder(given: &Path) -> PathBuf {
-    let inside = RunPaths::new(given).checkpoints();
-    if inside.is_dir() { inside } else { given.to_owned() }
 }
 
 /// The text and the name of the nearest `config.toml` up to two folders above the checkpoint, or the defaults.

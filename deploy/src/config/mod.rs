@@ -25,6 +25,7 @@ pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
 pub use keys::{Key, explain, keys, schema};
+pub(crate) use layers::is_whole;
 pub use layers::{Base, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 pub use variables::check_variables;

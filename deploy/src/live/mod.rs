@@ -62,7 +62,6 @@ pub async fn show_learning(
         }
         not_saved = learner.not_saved;
     }
-    progress.finish();
 }
 
 /// Prints the progress of this process's actor, at most one line every ten seconds, until it ends.
@@ -88,9 +87,7 @@ pub async fn show_evaluating(
     let mut last_line = Instant::now();
     while progress.changed().await.is_ok() {
         let Some(EvaluationProgress { n_ended, n_planned }) = *progress.borrow_and_update() else {
-            if let Some((bar, _)) = shown.take() {
-                bar.finish();
-            }
+            shown = None;
             continue;
         };
         let (bar, begun) = shown.get_or_insert_with(|| {
@@ -104,9 +101,6 @@ pub async fn show_evaluating(
             last_line = Instant::now();
             terminal.print(&format!("evaluating: {n_ended} of {n_planned} episodes  {left}"));
         }
-    }
-    if let Some((bar, _)) = shown {
-        bar.finish();
     }
 }
 
