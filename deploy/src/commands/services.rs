@@ -59,7 +59,7 @@ pub(super) async fn run_actor(
 }
 
 /// Waits for a task that shows a service's progress; it ends with the service.
-pub(super) async fn finished<T>(shown: JoinHandle<T>) -> Result<T, Failure> {
+pub(super) async fn finished(shown: JoinHandle<()>) -> Result<(), Failure> {
     shown.await.map_err(|panic| Failure::Service(panic.into()))
 }
 

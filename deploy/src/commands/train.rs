@@ -18,7 +18,7 @@ use proto::{ActorId, Valid, Weights};
 use runlog::RunPaths;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
-use tokio::task::{JoinHandle, JoinSet};
+use tokio::task::{JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
 use super::common::{configure, join_bus, json, origin, serve_command};
@@ -111,7 +111,8 @@ pub(super) async fn run(
     };
     goals.keep(run_dir.paths())?;
     health.joined(&bus);
-    let (views, channels) = Views::open(&bus, config, args, terminal).await?;
+    let (channels, mut views) = Channels::open(&bus, config, args, terminal).await?;
+    let reports = channels.reports.subscribe();
     let source: Box<dyn Source> = match config.lockstep {
         true => Box::new(InProcess::new(config, goals.catalog().clone())),
         false => Box::new(Arrivals::default()),
@@ -120,7 +121,9 @@ pub(super) async fn run(
     let services = Services { config, catalog: goals.catalog(), bus: &bus, folder: run_dir.path(), terminal, shutdown };
     let ended = services.run(options, channels, page).await;
     bus.close().await;
-    let evaluation = views.close().await?;
+    while let Some(view) = views.join_next().await {
+        view.map_err(panicked)?;
+    }
     let learner = ended?;
     let is_complete = learner.n_env_steps >= config.n_env_steps;
     terminal.print(&farewell(&run_dir, is_complete));
@@ -130,7 +133,7 @@ pub(super) async fn run(
         is_complete,
         elapsed_s: start.elapsed().as_secs_f64(),
         learner,
-        evaluation: evaluation.map(|report| report.summary.clone()),
+        evaluation: reports.borrow().as_ref().map(|report| report.summary.clone()),
     })
 }
 
@@ -164,13 +167,6 @@ async fn prepare(
     Ok(Prepared { setup, run_dir, page, health })
 }
 
-/// The tasks that print what the services report.
-struct Views {
-    learning: JoinHandle<()>,
-    evaluations: JoinHandle<Option<Arc<EvalReport>>>,
-    progress: JoinHandle<()>,
-}
-
 /// Where the services report to.
 struct Channels {
     metrics: watch::Sender<Option<LearnerMetrics>>,
@@ -180,13 +176,14 @@ struct Channels {
     last: watch::Sender<Option<Arc<Weights>>>,
 }
 
-impl Views {
+impl Channels {
+    /// Opens them, and starts the tasks that print what arrives.
     async fn open(
         bus: &Bus,
         config: &Valid<Config>,
         args: &TrainArgs,
         terminal: &Terminal,
-    ) -> Result<(Self, Channels), Failure> {
+    ) -> Result<(Self, JoinSet<()>), Failure> {
         let actors = bus.alive(Role::Actor).await?;
         let (metrics, updates) = watch::channel(None);
         let (reports, evaluated) = watch::channel(None);
@@ -197,19 +194,11 @@ impl Views {
             async move { live::show_learning(updates, actors, reports, terminal, &config).await }
         };
         let learner_is_done = move || ended.borrow().is_some();
-        let views = Self {
-            learning: tokio::spawn(learning),
-            evaluations: tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose))),
-            progress: tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done)),
-        };
-        Ok((views, Channels { metrics, reports, progress, last }))
-    }
-
-    /// Waits until all is printed, and returns the last report.
-    async fn close(self) -> Result<Option<Arc<EvalReport>>, Failure> {
-        services::finished(self.learning).await?;
-        services::finished(self.progress).await?;
-        services::finished(self.evaluations).await
+        let mut views = JoinSet::new();
+        views.spawn(learning);
+        views.spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
+        views.spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
+        Ok((Self { metrics, reports, progress, last }, views))
     }
 }
 
@@ -261,7 +250,7 @@ impl Services<'_> {
             // Any service that ends, even without an error, ends the run, because the others have nothing to do without
             // it. Only the evaluator may still have work: the last evaluation.
             training.cancel();
-            ended = ended.and(service.map_err(|panic| Failure::Service(panic.into())).flatten());
+            ended = ended.and(service.map_err(panicked).flatten());
             let is_evaluated = self.config.evaluator.evaluate_last && last_weights.borrow().is_some() && ended.is_ok();
             if !is_evaluated {
                 self.shutdown.cancel();
@@ -296,6 +285,10 @@ impl Services<'_> {
             Ok(())
         }
     }
+}
+
+fn panicked(panic: JoinError) -> Failure {
+    Failure::Service(panic.into())
 }
 
 /// The bus with a socket in the run's folder, so that `watch` finds it; without one if the file system or the keys rule

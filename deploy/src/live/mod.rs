@@ -104,15 +104,10 @@ pub async fn show_evaluating(
     }
 }
 
-/// Prints a table of each report until the evaluator ends; returns the last report.
-pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) -> Option<Arc<EvalReport>> {
-    let mut last = None;
+/// Prints a table of each report until the evaluator ends.
+pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) {
     while reports.changed().await.is_ok() {
-        let report = reports.borrow_and_update().clone();
-        if let Some(report) = report {
-            terminal.print(&format!("\n{}", render(&report, detail)));
-            last = Some(report);
-        }
+        let Some(report) = reports.borrow_and_update().clone() else { continue };
+        terminal.print(&format!("\n{}", render(&report, detail)));
     }
-    last
 }
