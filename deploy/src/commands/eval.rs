@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use blueprints::{Blueprint, Split};
+use blueprints::Split;
 use evaluator::{
     Endings, EvalSetup, EvaluatorConfig, Follower, N_WORLDS, Selection, evaluate_followed, render, render_endings,
 };
@@ -37,18 +37,13 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     };
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open_beside(&args.blueprint, args.checkpoint.as_deref())?;
-    let (catalog, named) = (goals.catalog(), goals.blueprints()?);
-    let blueprints: Vec<&Blueprint> = if named.is_empty() {
-        selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?
-    } else {
-        named.iter().map(AsRef::as_ref).collect()
-    };
+    let blueprints = goals.or_selected(&selection)?;
     let environment = Config::evaluation_environment(&config);
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     episodes.n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
-        catalog,
+        catalog: &goals.catalog,
         environment,
         episodes,
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.clone().unwrap_or_default()),

@@ -10,6 +10,7 @@ use anyhow::{Context, anyhow};
 use blueprints::catalog::read_files;
 use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
+use evaluator::Selection;
 use runlog::RunPaths;
 
 use super::files::write_files;
@@ -19,12 +20,12 @@ use crate::live::Terminal;
 
 /// Named blueprints, and a catalog that contains them in addition to the built-in ones.
 pub(super) struct Goals {
-    catalog: Arc<Catalog>,
+    pub(super) catalog: Arc<Catalog>,
     /// Blueprints that the built-in catalog lacks: from files, and generated ones. The folder of a run keeps a copy of
     /// them.
     own: Vec<BlueprintId>,
-    /// The named blueprints.
-    ids: Vec<BlueprintId>,
+    /// The named blueprints, in the order in which they were named; the catalog has all of them.
+    pub(super) ids: Vec<BlueprintId>,
 }
 
 /// A named blueprint, and the name that it was found by.
@@ -98,19 +99,17 @@ impl Goals {
         }
     }
 
-    /// The catalog of the named and the built-in blueprints.
-    pub(super) fn catalog(&self) -> &Arc<Catalog> {
-        &self.catalog
+    /// The named blueprints; empty if none were.
+    pub(super) fn blueprints(&self) -> Vec<&Blueprint> {
+        self.ids.iter().filter_map(|id| self.catalog.get(id)).collect()
     }
 
-    /// The ids of the named blueprints.
-    pub(super) fn ids(&self) -> &[BlueprintId] {
-        &self.ids
-    }
-
-    /// The named blueprints in the order in which they were named; empty if none were.
-    pub(super) fn blueprints(&self) -> Result<Vec<Cow<'_, Blueprint>>, Failure> {
-        self.ids.iter().map(|id| find(&self.catalog, id.as_str())).collect()
+    /// The named blueprints, or else those of `selection`.
+    pub(super) fn or_selected(&self, selection: &Selection) -> Result<Vec<&Blueprint>, Failure> {
+        if self.ids.is_empty() {
+            return selection.select(&self.catalog).map_err(|error| Failure::Usage(error.to_string()));
+        }
+        Ok(self.blueprints())
     }
 
     /// Like [`Self::open_beside`], for goals that a training learns and evaluates.
@@ -287,7 +286,7 @@ mod tests {
     fn ids(named: &[&str]) -> Vec<String> {
         let named: Vec<OsString> = named.iter().map(OsString::from).collect();
         let goals = Goals::open(&named).unwrap();
-        goals.blueprints().unwrap().iter().map(|blueprint| blueprint.id().to_string()).collect()
+        goals.blueprints().iter().map(|blueprint| blueprint.id().to_string()).collect()
     }
 
     #[test]
@@ -329,18 +328,18 @@ mod tests {
             ids.sort();
             ids
         };
-        assert_eq!(selected(goals.catalog()), ["6_005", "my-tower"]);
-        assert_eq!(config.actor.tasks.filter.select(goals.catalog()).unwrap().len(), 2);
+        assert_eq!(selected(&goals.catalog), ["6_005", "my-tower"]);
+        assert_eq!(config.actor.tasks.filter.select(&goals.catalog).unwrap().len(), 2);
 
         let run = RunPaths::new(folder.path().join("run"));
         goals.keep(&run).unwrap();
         std::fs::write(run.config(), config.to_toml()).unwrap();
         std::fs::remove_file(&file).unwrap();
         let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
-        assert_eq!(selected(resumed.catalog()), ["6_005", "my-tower"]);
-        assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
+        assert_eq!(selected(&resumed.catalog), ["6_005", "my-tower"]);
+        assert_eq!((&resumed.catalog, resumed.settings().len()), (&goals.catalog, 0));
         let evaluated = Goals::open_beside(&["my-tower".into()], Some(&run.checkpoints().join("step-1"))).unwrap();
-        assert_eq!(evaluated.blueprints().unwrap().len(), 1);
+        assert_eq!(evaluated.blueprints().len(), 1);
 
         let kept = run.blueprints().join("my-tower.toml");
         let other = Catalog::builtin().get(&"3_001".parse().unwrap()).unwrap().to_toml("another structure");
@@ -390,8 +389,8 @@ mod tests {
         std::fs::write(run.config(), "").unwrap();
         let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
         let id = "gen1-arch-7_6_000".parse().unwrap();
-        assert_eq!(resumed.catalog().get(&id), goals.catalog().get(&id));
-        assert!(goals.catalog().get(&id).is_some());
+        assert_eq!(resumed.catalog.get(&id), goals.catalog.get(&id));
+        assert!(goals.catalog.get(&id).is_some());
     }
 
     #[test]

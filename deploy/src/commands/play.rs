@@ -60,7 +60,7 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let catalog = goals.catalog().clone();
+    let catalog = goals.catalog.clone();
     let weights = published(source, config, &catalog)?;
     let weights = Arc::new(weights);
     let page = services::page(services::web(config), terminal).await?;
@@ -128,8 +128,8 @@ fn about(args: &PlayArgs, goals: &Goals) -> About {
         run,
         preset: None,
         n_env_steps: None,
-        blueprints: goals.ids().to_vec(),
-        catalog: goals.catalog().clone(),
+        blueprints: goals.ids.clone(),
+        catalog: goals.catalog.clone(),
         farewell: Farewell { ended: "the program", command: Some(command(args)) },
         origin: serde_json::Value::Null,
     }

@@ -1,6 +1,5 @@
 //! `record`: records episodes as trajectories.
 
-use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 
@@ -43,14 +42,13 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
     let config = source.config(&overrides)?;
     tell_choices(&args.goals.blueprint, terminal)?;
     let goals = Goals::open_beside(&args.goals.blueprint, args.checkpoint.as_deref())?;
-    let selected = select(&goals, args)?;
-    let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
+    let blueprints = select(&goals, args);
     let performer =
         if args.expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
     let acting = if args.sampled { ActionMode::Sampled } else { ActionMode::Greedy };
     create(&args.out)?;
     let setup = EvalSetup {
-        catalog: goals.catalog(),
+        catalog: &goals.catalog,
         environment: Config::evaluation_environment(&config),
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
@@ -90,12 +88,12 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
 }
 
 /// The named blueprints, or those of the splits.
-fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Result<Vec<Cow<'g, Blueprint>>, Failure> {
+fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Vec<&'g Blueprint> {
     if args.goals.split.is_empty() {
         return goals.blueprints();
     }
     let wanted = |blueprint: &&Blueprint| args.goals.split.contains(&blueprint.split());
-    Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
+    goals.catalog.iter().filter(wanted).collect()
 }
 
 /// Creates the folder.

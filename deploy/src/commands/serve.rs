@@ -48,8 +48,8 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
         let named = Goals::open_beside(&args.blueprint, folders.first().map(PathBuf::as_path))?;
-        let goals = recorded(named.ids(), &first.about);
-        first.about.catalog = named.catalog().clone();
+        let goals = recorded(&named.ids, &first.about);
+        first.about.catalog = named.catalog.clone();
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Err(Failure::NothingWritten(folder.clone())),
             n_files = dashboard::export(Finished { first, others, sweep }, &goals, folder) => n_files?,
@@ -104,7 +104,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let environment = Config::evaluation_environment(&config);
     let stage = weights.is_some().then(|| stage(environment, policy.clone(), newest, Some(paths.clone())));
     let n_env_steps = Some(config.n_env_steps);
-    let catalog = Goals::open_beside(&[], Some(folder))?.catalog().clone();
+    let catalog = Goals::open_beside(&[], Some(folder))?.catalog;
     let blueprints = config.evaluator.selection.blueprints.clone();
     let (preset, origin) = (preset_of(&paths), origin_of(&paths, &config));
     let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin };

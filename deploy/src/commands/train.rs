@@ -101,7 +101,7 @@ pub(super) async fn run(
 ) -> Result<Summary, Failure> {
     let start = Instant::now();
     let config = &settings.config;
-    let Prepared { setup, run_dir, page, health } = prepare(settings, args, goals.catalog(), &origin, terminal).await?;
+    let Prepared { setup, run_dir, page, health } = prepare(settings, args, &goals.catalog, &origin, terminal).await?;
     terminal.print(&introduction(settings, &origin, &run_dir));
     let bus = watchable(config.part(|config| &config.bus), run_dir.path());
     let joined = join_bus(&bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
@@ -114,11 +114,11 @@ pub(super) async fn run(
     let (channels, mut views) = Channels::open(&bus, config, args, terminal).await?;
     let reports = channels.reports.subscribe();
     let source: Box<dyn Source> = match config.lockstep {
-        true => Box::new(InProcess::new(config, goals.catalog().clone())),
+        true => Box::new(InProcess::new(config, goals.catalog.clone())),
         false => Box::new(Arrivals::default()),
     };
     let options = |metrics| services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
-    let services = Services { config, catalog: goals.catalog(), bus: &bus, folder: run_dir.path(), terminal, shutdown };
+    let services = Services { config, catalog: &goals.catalog, bus: &bus, folder: run_dir.path(), terminal, shutdown };
     let ended = services.run(options, channels, page).await;
     bus.close().await;
     while let Some(view) = views.join_next().await {

@@ -30,7 +30,7 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let selected = if named.is_empty() {
         select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
     } else {
-        goals.blueprints()?
+        goals.blueprints().into_iter().map(Cow::Borrowed).collect()
     };
     let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();

@@ -39,8 +39,7 @@ impl Goals {
             return Ok(Self { catalog: Arc::new(Catalog::load(path)?), chosen: Vec::new() });
         }
         let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
-        let chosen = goals.ids().to_vec();
-        Ok(Self { catalog: goals.catalog().clone(), chosen })
+        Ok(Self { catalog: goals.catalog, chosen: goals.ids })
     }
 
     /// Whether episodes with this goal are shown.
