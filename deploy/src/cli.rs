@@ -26,8 +26,8 @@ mod watch;
 
 pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
-pub use self::record::{GoalArgs, PerformerArgs, RecordArgs};
-pub use self::render::{LiveArgs, RenderArgs, VideoFormat};
+pub use self::record::{GoalArgs, RecordArgs};
+pub use self::render::{RenderArgs, VideoFormat};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
@@ -188,7 +188,11 @@ pub enum Command {
     #[command(subcommand)]
     Blueprints(BlueprintsCommand),
     /// Print shell completions; load them with `source <(lodestone completions bash)`.
-    Completions(CompletionsArgs),
+    Completions {
+        /// The shell.
+        #[arg(value_name = "SHELL", value_enum)]
+        shell: Shell,
+    },
 }
 
 impl Command {
@@ -206,58 +210,45 @@ impl Command {
     }
 }
 
-/// Arguments of `completions`.
-#[derive(Debug, Args)]
-pub struct CompletionsArgs {
-    /// The shell.
-    #[arg(value_name = "SHELL", value_enum)]
-    pub shell: Shell,
-}
-
 /// Arguments of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// The configuration.
     #[command(flatten)]
-    pub config: ConfigArgs,
-    /// The run.
+    pub(crate) config: ConfigArgs,
     #[command(flatten)]
-    pub run: RunArgs,
+    pub(crate) run: RunArgs,
     /// Train and evaluate on this blueprint only: an id or a name such as scorpion, generated ones included, a file, or a
     /// folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// Threads that step worlds.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(i64).range(1..=64))]
-    pub actors: Option<i64>,
+    pub(crate) actors: Option<i64>,
     /// Alternate between stepping worlds and learning. This is slower, but equal seeds produce equal bytes, even in a
     /// run that is resumed from one of its periodic checkpoints.
     #[arg(long)]
-    pub lockstep: bool,
+    pub(crate) lockstep: bool,
     /// Print every blueprint after an evaluation, not only the groups and the worst blueprints.
     #[arg(long)]
-    pub verbose: bool,
+    pub(crate) verbose: bool,
     /// Print a summary of the training as JSON at the end; everything else goes to stderr.
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
     /// Let other processes join at this endpoint, for example tcp/127.0.0.1:7447; may be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = values::endpoint)]
-    pub listen: Vec<String>,
-    /// Keys for the processes that join.
+    pub(crate) listen: Vec<String>,
     #[command(flatten)]
-    pub keys: KeysArgs,
-    /// Health reporting.
+    pub(crate) keys: KeysArgs,
     #[command(flatten)]
-    pub health: HealthArgs,
-    /// The web page [default: at 127.0.0.1 with a free port].
+    pub(crate) health: HealthArgs,
     #[command(flatten)]
-    pub page: PageArgs,
+    pub(crate) page: PageArgs,
     /// Do not serve a web page.
     #[arg(long, conflicts_with = "web")]
-    pub no_web: bool,
+    pub(crate) no_web: bool,
     /// Save and end when stdin is closed: `sweep` keeps it open for as long as it lives.
     #[arg(long, hide = true)]
-    pub end_with_stdin: bool,
+    pub(crate) end_with_stdin: bool,
 }
 
 /// Where the evaluator's web page is served.
@@ -266,7 +257,7 @@ pub struct PageArgs {
     /// Serve a web page about the training here, for example 8080, or 127.0.0.1:0 for a free port; an address that
     /// other machines can reach needs dashboard.web.token [default: for `train`, 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", env = "LODESTONE_WEB", value_parser = values::address)]
-    pub web: Option<std::net::SocketAddr>,
+    pub(crate) web: Option<std::net::SocketAddr>,
 }
 
 /// Where a learner starts, what it writes, and when it stops.
@@ -275,22 +266,22 @@ pub struct RunArgs {
     /// Stop after this many environment steps, for example 1e6 or 1_000_000, up to the end of the last segment; steps
     /// before a resume count.
     #[arg(long, value_name = "N", env = "LODESTONE_STEPS", value_parser = values::steps, allow_negative_numbers = true)]
-    pub steps: Option<i64>,
+    pub(crate) steps: Option<i64>,
     /// Folder for checkpoints and metrics [default: runs/DATE-NAME].
     #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR")]
-    pub run_dir: Option<PathBuf>,
+    pub(crate) run_dir: Option<PathBuf>,
     /// Continue the run in this folder, with its configuration.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["config", "preset"])]
-    pub resume: Option<PathBuf>,
+    pub(crate) resume: Option<PathBuf>,
     /// Continue the run in --run-dir, with its configuration, or start it there if it does not exist yet: a supervisor
     /// can use the same command every time.
     #[arg(long, env = "LODESTONE_AUTO_RESUME", requires = "run_dir", conflicts_with = "resume")]
-    pub auto_resume: bool,
+    pub(crate) auto_resume: bool,
     /// Start from this policy, with a fresh optimizer: a file written by `export`, the folder of a run for its best
     /// policy, or `pretrained` for the shipped policy. The network must be the same, but the settings of its
     /// standard deviations (policy.network.init_std) may differ.
     #[arg(long, value_name = "MODEL", conflicts_with = "resume")]
-    pub init_from: Option<PathBuf>,
+    pub(crate) init_from: Option<PathBuf>,
 }
 
 /// Arguments of a process that joins a run.
@@ -298,62 +289,43 @@ pub struct RunArgs {
 pub struct MemberArgs {
     /// The configuration, which must match the learner's.
     #[command(flatten)]
-    pub config: ConfigArgs,
-    /// The bus.
+    pub(crate) config: ConfigArgs,
     #[command(flatten)]
-    pub endpoints: EndpointArgs,
+    pub(crate) endpoints: EndpointArgs,
     /// Name of this process: 1 to 64 characters of a-z, 0-9, and -, unique among the run's processes of this kind
     /// [default: random].
     #[arg(long, value_name = "ID", env = "LODESTONE_ID")]
-    pub id: Option<String>,
-    /// Health reporting.
+    pub(crate) id: Option<String>,
     #[command(flatten)]
-    pub health: HealthArgs,
+    pub(crate) health: HealthArgs,
 }
 
 /// Arguments of `learner`.
 #[derive(Debug, Args)]
 pub struct LearnerArgs {
-    /// Arguments that all members of a run have.
     #[command(flatten)]
-    pub member: MemberArgs,
-    /// The run.
+    pub(crate) member: MemberArgs,
     #[command(flatten)]
-    pub run: RunArgs,
+    pub(crate) run: RunArgs,
     /// Exit with 75 if a signal ends the learner before the run has its steps, for a supervisor that takes 0 for the end
     /// of the run.
     #[arg(long, env = "LODESTONE_FAIL_UNFINISHED")]
-    pub fail_unfinished: bool,
+    pub(crate) fail_unfinished: bool,
 }
 
 /// Arguments of `evaluator`.
 #[derive(Debug, Args)]
 pub struct EvaluatorArgs {
-    /// Arguments that all members of a run have.
     #[command(flatten)]
-    pub member: MemberArgs,
+    pub(crate) member: MemberArgs,
     /// Keep reports in this folder, in metrics.jsonl and eval.db.
     #[arg(long, value_name = "DIR", env = "LODESTONE_RUN_DIR")]
-    pub run_dir: Option<PathBuf>,
+    pub(crate) run_dir: Option<PathBuf>,
     /// Print every blueprint after an evaluation, not only the groups and the worst blueprints.
     #[arg(long)]
-    pub verbose: bool,
-    /// The web page.
+    pub(crate) verbose: bool,
     #[command(flatten)]
-    pub page: PageArgs,
-}
-
-/// The policy to load.
-#[derive(Clone, Debug, Default, Args)]
-#[group(required = true, multiple = false)]
-pub struct ModelArgs {
-    /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
-    /// one of them, or a file written by `export`.
-    #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
-    /// The shipped policy.
-    #[arg(long)]
-    pub pretrained: bool,
+    pub(crate) page: PageArgs,
 }
 
 /// Arguments of `export`.
@@ -362,13 +334,13 @@ pub struct ExportArgs {
     /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
     /// one of them.
     #[arg(long, value_name = "DIR")]
-    pub checkpoint: PathBuf,
+    pub(crate) checkpoint: PathBuf,
     /// Output file, which must not exist.
     #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Write the network as an ONNX graph, for other runtimes.
     #[arg(long)]
-    pub onnx: bool,
+    pub(crate) onnx: bool,
 }
 
 /// Arguments of `play`.
@@ -377,31 +349,31 @@ pub struct PlayArgs {
     /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
     /// one of them, or a file written by `export` [default: the shipped policy].
     #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
+    pub(crate) checkpoint: Option<PathBuf>,
     /// The shipped policy, as without --checkpoint.
     #[arg(long, conflicts_with = "checkpoint")]
-    pub pretrained: bool,
+    pub(crate) pretrained: bool,
     /// Only these blueprints: ids or names such as scorpion, generated ones included, files, or folders of files [default: the whole catalog].
     #[arg(value_name = "FILE|ID")]
-    pub ids: Vec<OsString>,
+    pub(crate) ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// Also evaluate the policy, with this many episodes per blueprint [default: with --run-dir, 4; else none].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: Option<u32>,
+    pub(crate) episodes: Option<u32>,
     /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
-    pub web: Option<std::net::SocketAddr>,
+    pub(crate) web: Option<std::net::SocketAddr>,
     /// Evaluate the policy, and keep the results, episodes, and videos in this folder.
     #[arg(long, value_name = "DIR")]
-    pub run_dir: Option<PathBuf>,
+    pub(crate) run_dir: Option<PathBuf>,
     /// Do not open the page in a browser, which happens where a terminal and a display are.
     #[arg(long)]
-    pub no_open: bool,
+    pub(crate) no_open: bool,
     /// Set one configuration key, for example evaluator.episodes.starts=scattered; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
 }
 
 /// Arguments of `eval`.
@@ -411,50 +383,50 @@ pub struct EvalArgs {
     /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
     /// one of them, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
+    pub(crate) checkpoint: Option<PathBuf>,
     /// The shipped policy.
     #[arg(long)]
-    pub pretrained: bool,
+    pub(crate) pretrained: bool,
     /// The scripted expert, in the default world; of the settings, `environment`, `evaluator`, and `seed` matter.
     #[arg(long)]
-    pub expert: bool,
+    pub(crate) expert: bool,
     /// Only this blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated [default: the splits of the run's last evaluation, without validation unless it is the only one; of the
     /// shipped policy, the paper's].
     #[arg(long, value_name = "S")]
-    pub split: Vec<Split>,
+    pub(crate) split: Vec<Split>,
     /// Episodes per blueprint and action mode.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: u32,
+    pub(crate) episodes: u32,
     /// Also run reset-free sequences: 50 runs over 10 goals of at least 12 blocks, or as many as the run's evaluator is
     /// configured for.
     #[arg(long)]
-    pub reset_free: bool,
+    pub(crate) reset_free: bool,
     /// Threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
-    pub threads: Option<u16>,
+    pub(crate) threads: Option<u16>,
     /// Set one key of the run's configuration, for example evaluator.episodes.starts=mixed; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
+    pub(crate) set: Vec<String>,
     /// Also print how the episodes ended, by number of blocks.
     #[arg(long, conflicts_with_all = ["json", "expert"])]
-    pub endings: bool,
+    pub(crate) endings: bool,
     /// Write the cause of each of the expert's failures (failures.json) and a replay of it to this new folder.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["checkpoint", "pretrained"])]
-    pub explain: Option<PathBuf>,
+    pub(crate) explain: Option<PathBuf>,
     /// Write replays of the expert's first success and first failure of each group to this new folder, for `lodestone
     /// render`.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["checkpoint", "pretrained"])]
-    pub record: Option<PathBuf>,
+    pub(crate) record: Option<PathBuf>,
     /// Print every blueprint, not only the groups and the worst blueprints.
     #[arg(long)]
-    pub verbose: bool,
+    pub(crate) verbose: bool,
     /// Print the report as JSON.
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 impl RunArgs {

@@ -4,7 +4,6 @@ use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use blueprints::Split;
 use bus::{BusError, KeysError};
 use dashboard::WebError;
 use dashboard::terminal::WatchError;
@@ -45,48 +44,13 @@ pub enum Failure {
     /// Blueprint files cannot be read or do not form a catalog; code 64.
     #[error(transparent)]
     Catalog(#[from] blueprints::CatalogError),
-    /// Blueprint files failed a requested check; code 64.
-    #[error("{n_failed} of {n_files} blueprints failed a check")]
-    Blueprints {
-        /// Number of files with a failed check.
-        n_failed: usize,
-        /// Number of files checked.
-        n_files: usize,
-    },
     /// No blueprints of this kind can be generated; code 64.
     #[error(transparent)]
     Generate(#[from] blueprints::generator::GenerateError),
-    /// A generated blueprint or a recording would replace what exists; code 64.
-    #[error("{} exists already; nothing was written", .0.display())]
-    Exists(PathBuf),
-    /// A generated blueprint cannot be written; code 64.
-    #[error("cannot write {}: {error}", path.display())]
-    BlueprintFile {
-        /// The file or folder.
-        path: PathBuf,
-        /// The cause.
-        #[source]
-        error: io::Error,
-    },
-    /// An unknown blueprint id; code 64.
-    #[error("there is no blueprint `{id}`{}", suggestion_or(nearest, "; `lodestone blueprints list` lists them"))]
-    UnknownBlueprint {
-        /// The id given.
-        id: String,
-        /// The most similar existing id.
-        nearest: Option<String>,
-    },
-    /// A recorded episode cannot be shown; code 64.
-    #[error("{files}: {reason}")]
-    Recording {
-        /// The files of the episode.
-        files: String,
-        /// What is wrong with them.
-        reason: String,
-    },
-    /// A split of the catalog without blueprints; code 64.
-    #[error("the catalog has no blueprints of the split {0}")]
-    EmptySplit(Split),
+    /// A blueprint, a split, or a recording that was named cannot be used, or what a command makes of it cannot be
+    /// written; code 64.
+    #[error("{0}")]
+    Input(String),
     /// A checkpoint, a run directory, or a key file cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
@@ -218,13 +182,8 @@ impl Failure {
             | Self::Keys(_)
             | Self::Page(_)
             | Self::Catalog(_)
-            | Self::Blueprints { .. }
             | Self::Generate(_)
-            | Self::Exists(_)
-            | Self::BlueprintFile { .. }
-            | Self::UnknownBlueprint { .. }
-            | Self::Recording { .. }
-            | Self::EmptySplit(_) => 64,
+            | Self::Input(_) => 64,
             Self::Bus(_) => 65,
             Self::Diverged(_) => 67,
             Self::FewFiles { .. } => 71,

@@ -34,41 +34,38 @@ const NEW: &str = ".new.";
 
 /// State of a service.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct State {
+pub(crate) struct State {
     /// Role of the service, for example `actor`.
-    pub role: String,
+    pub(crate) role: String,
     /// Process id.
-    pub pid: u32,
+    pub(crate) pid: u32,
     /// When this state was written, in milliseconds since 1970.
-    pub unix_ms: u64,
+    pub(crate) unix_ms: u64,
     /// Whether the process reaches a router, or is one.
-    pub connected: bool,
+    pub(crate) connected: bool,
     /// Seconds since the main loop last made progress; 0 while it waits for other processes.
-    pub idle_s: f64,
+    pub(crate) idle_s: f64,
     /// Of a router with keys: what became of connections to it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub joins: Option<JoinCounts>,
+    pub(crate) joins: Option<JoinCounts>,
     /// Why the service waits, if nothing can be saved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub not_saved: Option<NotSaved>,
+    pub(crate) not_saved: Option<NotSaved>,
 }
 
 /// Writes the state of this process to a file, and removes the file when dropped.
 #[derive(Debug)]
-pub struct Reporter {
-    file: Option<PathBuf>,
+pub(crate) struct Reporter {
     bus: watch::Sender<Option<Bus>>,
-    task: Option<JoinHandle<()>>,
+    /// The file and the task that writes it.
+    writing: Option<(PathBuf, JoinHandle<()>)>,
 }
 
 impl Reporter {
     /// Starts writing, if a file is given.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
-    pub fn start(role: &str, file: Option<&Path>) -> Result<Self, Failure> {
+    pub(crate) fn start(role: &str, file: Option<&Path>) -> Result<Self, Failure> {
         let (sender, bus) = watch::channel(None);
-        let Some(path) = file.map(Path::to_owned) else { return Ok(Self { file: None, bus: sender, task: None }) };
+        let Some(path) = file.map(Path::to_owned) else { return Ok(Self { bus: sender, writing: None }) };
         let role = role.to_owned();
         remove_leftovers(&path);
         write(&path, &state(&role, false, Duration::ZERO))
@@ -97,21 +94,19 @@ impl Reporter {
                 tokio::time::sleep(PERIOD).await;
             }
         });
-        Ok(Self { file: Some(path), bus: sender, task: Some(task) })
+        Ok(Self { bus: sender, writing: Some((path, task)) })
     }
 
     /// Reports on the service of this bus session from now on.
-    pub fn joined(&self, bus: &Bus) {
+    pub(crate) fn joined(&self, bus: &Bus) {
         self.bus.send_replace(Some(bus.clone()));
     }
 }
 
 impl Drop for Reporter {
     fn drop(&mut self) {
-        if let Some(task) = &self.task {
+        if let Some((file, task)) = &self.writing {
             task.abort();
-        }
-        if let Some(file) = &self.file {
             // Without the file, the process counts as gone, which it soon is.
             let _ = fs::remove_file(file);
         }
@@ -123,32 +118,26 @@ impl Drop for Reporter {
 ///
 /// # Errors
 /// [`Failure::Unhealthy`] with the reason.
-pub fn check(file: &Path, alive: bool) -> Result<State, Failure> {
-    let unhealthy = |reason: String| Err(Failure::Unhealthy(reason));
-    let text = match outside::read_text(file, MAX_BYTES) {
-        Ok(text) => text,
-        Err(error) => return unhealthy(format!("no service reports at {}: {error}", file.display())),
-    };
-    let state: State = match serde_json::from_str(&text) {
-        Ok(state) => state,
-        Err(error) => return unhealthy(format!("{} holds no state: {error}", file.display())),
-    };
+pub(crate) fn check(file: &Path, alive: bool) -> Result<State, Failure> {
+    let text = outside::read_text(file, MAX_BYTES)
+        .map_err(|error| Failure::Unhealthy(format!("no service reports at {}: {error}", file.display())))?;
+    let state: State = serde_json::from_str(&text)
+        .map_err(|error| Failure::Unhealthy(format!("{} holds no state: {error}", file.display())))?;
     let role = &state.role;
     // A state from the future was left behind before the clock was set back.
     let age = Duration::from_millis(unix_ms().abs_diff(state.unix_ms));
-    if age > MAX_AGE {
-        return unhealthy(format!("the {role} has given no sign of life for {} s", age.as_secs()));
-    }
-    if state.idle_s > MAX_IDLE.as_secs_f64() {
-        return unhealthy(format!("the {role}'s main loop has not turned for {:.0} s", state.idle_s));
-    }
-    if !alive && !state.connected {
-        return unhealthy(format!("the {role} reaches no router"));
-    }
-    if let Some(not_saved) = state.not_saved.as_ref().filter(|_| !alive) {
-        return unhealthy(format!("{role}: {}", waits(not_saved)));
-    }
-    Ok(state)
+    let reason = if age > MAX_AGE {
+        format!("the {role} has given no sign of life for {} s", age.as_secs())
+    } else if state.idle_s > MAX_IDLE.as_secs_f64() {
+        format!("the {role}'s main loop has not turned for {:.0} s", state.idle_s)
+    } else if !alive && !state.connected {
+        format!("the {role} reaches no router")
+    } else if let Some(not_saved) = state.not_saved.as_ref().filter(|_| !alive) {
+        format!("{role}: {}", waits(not_saved))
+    } else {
+        return Ok(state);
+    };
+    Err(Failure::Unhealthy(reason))
 }
 
 fn state(role: &str, connected: bool, idle: Duration) -> State {

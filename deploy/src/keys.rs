@@ -3,18 +3,19 @@
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Write};
 use std::net::IpAddr;
+use std::ops::Range;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use blueprints::outside;
 use bus::security::{AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, PASSWORD_FILE, ROLES, USERS_FILE};
-use rand::TryRng;
-use rand::rngs::SysRng;
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair, KeyUsagePurpose,
 };
 use time::{Duration, OffsetDateTime};
+
+use crate::names::random_text;
 
 /// Folder of the authority, whose key signs certificates. The processes of a run do not need it.
 pub const AUTHORITY: &str = "ca";
@@ -130,13 +131,11 @@ fn remove_made(folder: &Path) -> Result<(), MakeKeysError> {
 
 /// Makes all keys in the folder `into`. The router's password comes last: nothing works without it.
 fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
-    let validity = Validity::from_now(n_days);
+    let valid = valid_from_now(n_days);
     let authority_key = KeyPair::generate()?;
-    let mut authority = CertificateParams::default();
-    authority.distinguished_name.push(DnType::CommonName, "Lodestone run");
+    let mut authority = parameters("Lodestone run", &valid);
     authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-    validity.apply(&mut authority);
     let authority_pem = authority.self_signed(&authority_key)?.pem();
     let authority_key_pem = authority_key.serialize_pem();
     let issuer = Issuer::new(authority, authority_key);
@@ -148,7 +147,7 @@ fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -
     let passwords = passwords.into_iter().collect::<Result<Vec<String>, MakeKeysError>>()?;
     write(&into.join(ROUTER).join(USERS_FILE), &passwords.concat())?;
     for role in ROLES {
-        let (certificate, key) = certificate(role, hosts, &validity, &issuer)?;
+        let (certificate, key) = certificate(role, hosts, &valid, &issuer)?;
         write(&into.join(role).join(AUTHORITY_FILE), &authority_pem)?;
         write(&into.join(role).join(KEY_FILE), &key)?;
         write(&into.join(role).join(CERTIFICATE_FILE), &certificate)?;
@@ -175,7 +174,7 @@ pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), 
     };
     let key = KeyPair::from_pem(&read(KEY_FILE)?).map_err(|error| absent(error.to_string()))?;
     let issuer = Issuer::from_ca_cert_pem(&read(CERTIFICATE_FILE)?, key).map_err(|error| absent(error.to_string()))?;
-    let (certificate, key) = certificate(ROUTER, hosts, &Validity::from_now(n_days), &issuer)?;
+    let (certificate, key) = certificate(ROUTER, hosts, &valid_from_now(n_days), &issuer)?;
     let new = |name: &str| folder.join(ROUTER).join(format!(".new-{name}"));
     // A key without its certificate is of no use, so neither is replaced before both are written.
     for (name, content) in [(KEY_FILE, key), (CERTIFICATE_FILE, certificate)] {
@@ -199,37 +198,34 @@ fn check_hosts(hosts: &[String]) -> Result<(), MakeKeysError> {
     }
 }
 
-struct Validity {
-    from: OffsetDateTime,
-    to: OffsetDateTime,
+/// When certificates that are made now are valid.
+fn valid_from_now(n_days: u32) -> Range<OffsetDateTime> {
+    let now = OffsetDateTime::from(SystemTime::now());
+    now - CLOCK_SLACK..now + Duration::days(i64::from(n_days))
 }
 
-impl Validity {
-    fn from_now(n_days: u32) -> Self {
-        let now = OffsetDateTime::from(SystemTime::now());
-        Self { from: now - CLOCK_SLACK, to: now + Duration::days(i64::from(n_days)) }
-    }
-
-    fn apply(&self, params: &mut CertificateParams) {
-        (params.not_before, params.not_after) = (self.from, self.to);
-    }
+/// Parameters of a certificate with this name.
+fn parameters(name: &str, valid: &Range<OffsetDateTime>) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.not_before = valid.start;
+    params.not_after = valid.end;
+    params
 }
 
 /// Issues a certificate that names a role; returns it and its key, both as PEM.
 fn certificate(
     role: &str,
     hosts: &[String],
-    validity: &Validity,
+    valid: &Range<OffsetDateTime>,
     issuer: &Issuer<'_, KeyPair>,
 ) -> Result<(String, String), MakeKeysError> {
     let key = KeyPair::generate()?;
-    let mut params = CertificateParams::default();
-    params.distinguished_name.push(DnType::CommonName, role);
+    let mut params = parameters(role, valid);
     params.is_ca = IsCa::ExplicitNoCa;
     params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
     params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
     params.use_authority_key_identifier_extension = true;
-    validity.apply(&mut params);
     if role == ROUTER {
         params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
         params.subject_alt_names = CertificateParams::new(hosts)?.subject_alt_names;
@@ -239,13 +235,7 @@ fn certificate(
 
 fn password() -> Result<String, MakeKeysError> {
     const CHARACTERS: &[u8; 62] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789";
-    let mut password = String::new();
-    while password.len() < N_PASSWORD_CHARACTERS {
-        let word = SysRng.try_next_u32().map_err(|error| MakeKeysError::Crypto(error.to_string()))?;
-        // Six bits at a time. The two values beyond the table are redrawn, so that all characters are equally likely.
-        password.extend(CHARACTERS.get((word & 63) as usize).map(|&character| char::from(character)));
-    }
-    Ok(password)
+    random_text(CHARACTERS, N_PASSWORD_CHARACTERS).map_err(|error| MakeKeysError::Crypto(error.to_string()))
 }
 
 fn make_folder(path: &Path) -> Result<(), MakeKeysError> {

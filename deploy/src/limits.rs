@@ -13,7 +13,7 @@ const MIN_FILES: u64 = 64;
 ///
 /// # Errors
 /// [`Failure::FewFiles`] if the limit is too low to work at all.
-pub fn allow_many_files() -> Result<(), Failure> {
+pub(crate) fn allow_many_files() -> Result<(), Failure> {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current != maximum
         && let Err(error) = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum })
@@ -27,7 +27,7 @@ pub fn allow_many_files() -> Result<(), Failure> {
 }
 
 /// Threads that step worlds: as many as requested, or one per core available to this process.
-pub fn n_threads(asked: Option<u16>) -> usize {
+pub(crate) fn n_threads(asked: Option<u16>) -> usize {
     let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or_else(n_cores, usize::from)
 }

@@ -1,4 +1,4 @@
-//! Random names for processes that were not given one.
+//! Random names for processes that were not given one, and other random text.
 
 use rand::TryRng;
 use rand::rngs::{SysError, SysRng};
@@ -12,20 +12,19 @@ const N_LETTERS: usize = 10;
 
 /// Returns `<role>-<10 letters and digits>`. The randomness comes from the operating system, because process ids and
 /// times are the same in containers that start alike.
-///
-/// # Errors
-/// When the operating system provides no randomness.
-pub fn random_name(role: &str) -> Result<String, SysError> {
-    let mut name = format!("{role}-");
-    let length = name.len() + N_LETTERS;
-    while name.len() < length {
-        // 252 of a byte's 256 values are a multiple of 36; the rest would favor the first letters.
-        let [byte, ..] = SysRng.try_next_u32()?.to_le_bytes();
-        if byte < 252 {
-            name.push(LETTERS[usize::from(byte % 36)].into());
-        }
+pub(crate) fn random_name(role: &str) -> Result<String, SysError> {
+    Ok(format!("{role}-{}", random_text(LETTERS, N_LETTERS)?))
+}
+
+/// Draws `n` of at most 64 ASCII characters, all of them equally likely.
+pub(crate) fn random_text(characters: &[u8], n: usize) -> Result<String, SysError> {
+    let mut text = String::new();
+    while text.len() < n {
+        // Six bits at a time; a value beyond the characters is redrawn.
+        let word = SysRng.try_next_u32()?;
+        text.extend(characters.get((word & 63) as usize).map(|&character| char::from(character)));
     }
-    Ok(name)
+    Ok(text)
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ use crate::shell;
 
 /// The existing folder of a run; no other process learns in it until this is dropped.
 #[derive(Debug)]
-pub struct RunDir {
+pub(crate) struct RunDir {
     paths: RunPaths,
     is_new: bool,
     preset: Option<String>,
@@ -34,43 +34,33 @@ const MAX_META_BYTES: u64 = 16 << 20;
 
 /// Where a run starts from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Origin {
+pub(crate) struct Origin {
     /// The folder whose configuration is used, if the run was started before.
-    pub config: Option<PathBuf>,
+    pub(crate) config: Option<PathBuf>,
     /// The folder whose checkpoints are used, if any.
-    pub checkpoint: Option<PathBuf>,
+    pub(crate) checkpoint: Option<PathBuf>,
 }
 
 impl Origin {
     /// Finds the run to continue: the one named with `--resume`, or an existing one with `--auto-resume`.
-    pub fn find(args: &RunArgs) -> Self {
-        if let Some(resume) = &args.resume {
-            // A run without a checkpoint starts over. The learner reports any other problem.
-            let paths = RunPaths::new(resume);
-            let continues = learner::checkpoint::exists(&paths.checkpoints()) || !paths.config().exists();
-            return Self { config: Some(resume.clone()), checkpoint: continues.then(|| resume.clone()) };
-        }
-        let Some(folder) =
-            args.run_dir.as_ref().filter(|folder| args.auto_resume && RunPaths::new(*folder).config().exists())
-        else {
+    pub(crate) fn find(args: &RunArgs) -> Self {
+        let is_there = |folder: &&PathBuf| args.auto_resume && RunPaths::new(*folder).config().exists();
+        let Some(folder) = args.resume.as_ref().or_else(|| args.run_dir.as_ref().filter(is_there)) else {
             return Self::default();
         };
-        // A run that was stopped before its first checkpoint starts over.
-        let has_checkpoint = learner::checkpoint::exists(&RunPaths::new(folder).checkpoints());
-        Self { config: Some(folder.clone()), checkpoint: has_checkpoint.then(|| folder.clone()) }
+        // A run without a checkpoint starts over. The learner reports any other problem.
+        let paths = RunPaths::new(folder);
+        let continues = learner::checkpoint::exists(&paths.checkpoints()) || !paths.config().exists();
+        Self { config: Some(folder.clone()), checkpoint: continues.then(|| folder.clone()) }
     }
-}
-
-/// Whether a run has made an update.
-fn has_learned(paths: &RunPaths) -> bool {
-    let has_metrics = fs::metadata(paths.metrics()).is_ok_and(|file| file.len() > 0);
-    has_metrics || learner::checkpoint::exists(&paths.checkpoints())
 }
 
 /// Whether the folder holds more than what a run writes before its services start. A history alone comes from an
 /// evaluator that started before the learner.
 fn has_begun(paths: &RunPaths) -> bool {
-    has_learned(paths) || (paths.config().exists() && paths.history().exists())
+    let has_metrics = fs::metadata(paths.metrics()).is_ok_and(|file| file.len() > 0);
+    let has_learned = has_metrics || learner::checkpoint::exists(&paths.checkpoints());
+    has_learned || (paths.config().exists() && paths.history().exists())
 }
 
 /// What produced a run, in addition to its configuration.
@@ -102,12 +92,12 @@ fn meta_of(paths: &RunPaths) -> Option<serde_json::Map<String, Value>> {
 }
 
 /// The preset that a run was started with, if it is recorded. Earlier versions did not record it.
-pub fn preset_of(paths: &RunPaths) -> Option<String> {
+pub(crate) fn preset_of(paths: &RunPaths) -> Option<String> {
     Some(meta_of(paths)?.get("preset")?.as_str()?.to_owned())
 }
 
 /// What produced a run, for those who see its page: what is recorded, without the page's token, and the settings.
-pub fn origin_of(paths: &RunPaths, config: &Config) -> Value {
+pub(crate) fn origin_of(paths: &RunPaths, config: &Config) -> Value {
     let mut origin = meta_of(paths).unwrap_or_default();
     for word in origin.get_mut("command").and_then(Value::as_array_mut).into_iter().flatten() {
         if let Some((name, _)) = word.as_str().and_then(|text| text.split_once("token")) {
@@ -122,7 +112,7 @@ pub fn origin_of(paths: &RunPaths, config: &Config) -> Value {
 ///
 /// # Errors
 /// [`Failure::Missing`] with the path that is most like the given one where the two part.
-pub fn check_exists(path: &Path) -> Result<(), Failure> {
+pub(crate) fn check_exists(path: &Path) -> Result<(), Failure> {
     if path.exists() {
         return Ok(());
     }
@@ -143,7 +133,7 @@ pub fn check_exists(path: &Path) -> Result<(), Failure> {
 ///
 /// # Errors
 /// That it does not exist, or has no configuration; then with the runs in it.
-pub fn check_run(folder: &Path) -> Result<(), Failure> {
+pub(crate) fn check_run(folder: &Path) -> Result<(), Failure> {
     check_exists(folder)?;
     if RunPaths::new(folder).config().exists() {
         return Ok(());
@@ -153,7 +143,7 @@ pub fn check_run(folder: &Path) -> Result<(), Failure> {
 }
 
 /// What to add to a message about a folder that is not a run's: the newest runs in it, or nothing.
-pub fn runs_in(folder: &Path) -> String {
+pub(crate) fn runs_in(folder: &Path) -> String {
     /// More names would hide the message.
     const N_NAMED: usize = 3;
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
@@ -175,10 +165,7 @@ pub fn runs_in(folder: &Path) -> String {
 }
 
 /// Creates the default folder of a run, `runs/<date>-<name>`, with a number appended if one exists for this minute.
-///
-/// # Errors
-/// When the folder cannot be created.
-pub fn default_folder(config: &Config) -> Result<PathBuf, Failure> {
+fn default_folder(config: &Config) -> Result<PathBuf, Failure> {
     let stamp = utc(SystemTime::now()).replace(':', "");
     make_new(Path::new("runs"), &format!("{stamp}-{}", config.bus.run))
         .map_err(|error| Failure::Checkpoint(anyhow::Error::new(error).context("making a folder in runs")))
@@ -202,10 +189,7 @@ fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
 
 impl RunDir {
     /// Creates the folder and describes the run in it: [`Self::claim`], then [`Self::describe`].
-    ///
-    /// # Errors
-    /// As for [`Self::claim`] and [`Self::describe`].
-    pub fn create(
+    pub(crate) fn create(
         path: Option<&Path>,
         config: &Config,
         preset: Option<&Preset>,
@@ -221,7 +205,7 @@ impl RunDir {
     /// # Errors
     /// When the folder holds a run other than `origin` that has started learning, another process learns in it, or it
     /// cannot be written. Existing files are then unchanged.
-    pub fn claim(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
+    pub(crate) fn claim(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let path =
             path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), |path| Ok(path.to_owned()))?;
         let (paths, shown) = (RunPaths::new(&path), path.display());
@@ -250,10 +234,12 @@ impl RunDir {
 
     /// Writes `config.toml` and `meta.json`; other processes may be reading them. A resumed run keeps the `preset` that
     /// it was started with.
-    ///
-    /// # Errors
-    /// When they cannot be written.
-    pub fn describe(&mut self, config: &Config, preset: Option<&Preset>, origin: &Origin) -> Result<(), Failure> {
+    pub(crate) fn describe(
+        &mut self,
+        config: &Config,
+        preset: Option<&Preset>,
+        origin: &Origin,
+    ) -> Result<(), Failure> {
         let before = origin.config.as_ref().and_then(|folder| preset_of(&RunPaths::new(folder)));
         let preset = preset.map(|preset| preset.name.to_owned()).or(before);
         let meta = Meta {
@@ -277,7 +263,7 @@ impl RunDir {
     }
 
     /// Removes what was written for a new run that could not start.
-    pub fn abandon(&self) {
+    pub(crate) fn abandon(&self) {
         if self.is_new {
             let socket = BusConfig::socket(self.path());
             let its_lock = socket.with_extension("sock.lock");
@@ -296,17 +282,17 @@ impl RunDir {
     }
 
     /// The path of the folder.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         self.paths.folder()
     }
 
     /// The preset that the run was started with, if it used a preset alone.
-    pub fn preset(&self) -> Option<&str> {
+    pub(crate) fn preset(&self) -> Option<&str> {
         self.preset.as_deref()
     }
 
     /// The paths of the files in the folder.
-    pub fn paths(&self) -> &RunPaths {
+    pub(crate) fn paths(&self) -> &RunPaths {
         &self.paths
     }
 }

@@ -17,10 +17,7 @@ const LAST_LINE: Duration = Duration::from_millis(200);
 
 /// Cancels `shutdown` at the first signal from now on, and exits at the second. SIGHUP, which says that the terminal is
 /// gone, counts unless the process was started to ignore it (`nohup`).
-///
-/// # Errors
-/// When a signal handler cannot be installed.
-pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
+pub(crate) fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
     let handler = |kind| signal(kind).map_err(|error| Failure::Service(anyhow::Error::from(error)));
     let mut signals = Signals {
         interrupt: handler(SignalKind::interrupt())?,
@@ -48,7 +45,7 @@ pub fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
 }
 
 /// Cancels `shutdown` when stdin is closed, as it is when the process at its other end is gone.
-pub fn cancel_with_stdin(shutdown: CancellationToken) {
+pub(crate) fn cancel_with_stdin(shutdown: CancellationToken) {
     // The thread ends with the process.
     std::thread::spawn(move || {
         drop(io::copy(&mut io::stdin(), &mut io::sink()));
@@ -69,14 +66,9 @@ impl Signals {
         tokio::select! {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
-            Some(_) = recv(self.hangup.as_mut()) => {}
+            Some(_) = async { self.hangup.as_mut()?.recv().await } => {}
         }
     }
-}
-
-/// Waits for a signal; `None` at once if it is not handled.
-async fn recv(signal: Option<&mut Signal>) -> Option<()> {
-    signal?.recv().await
 }
 
 /// Whether the process was started to ignore SIGHUP. Where this is unknown (no `/proc`), the signal is left as it is.

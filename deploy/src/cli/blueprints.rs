@@ -24,13 +24,12 @@ pub enum BlueprintsCommand {
 /// Arguments of `blueprints check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// The files to check.
     #[command(flatten)]
-    pub files: BlueprintsArgs,
+    pub(crate) files: BlueprintsArgs,
     /// Write the checked file, which must be the only one, to this new file, with everything filled in that it leaves
     /// open.
     #[arg(long, value_name = "FILE", requires = "paths")]
-    pub write: Option<PathBuf>,
+    pub(crate) write: Option<PathBuf>,
 }
 
 /// Arguments of `blueprints list`, and the files of `blueprints check`.
@@ -38,10 +37,10 @@ pub struct CheckArgs {
 pub struct BlueprintsArgs {
     /// Files or folders [default: the built-in catalog].
     #[arg(value_name = "PATH")]
-    pub paths: Vec<PathBuf>,
+    pub(crate) paths: Vec<PathBuf>,
     /// Print JSON.
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }
 
 /// Arguments of `blueprints generate`.
@@ -49,20 +48,20 @@ pub struct BlueprintsArgs {
 pub struct GenerateArgs {
     /// Blocks per blueprint.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=N_BLOCKS as i64))]
-    pub size: u8,
+    pub(crate) size: u8,
     /// How many to generate: the most varied of about four times as many candidates.
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=500))]
-    pub count: u16,
+    pub(crate) count: u16,
     /// Random seed: different seeds generate different structures, equal seeds the same ones.
     #[arg(long, value_name = "S", default_value_t = 0)]
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Style of the structures: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, spine,
     /// longest, or tallest.
     #[arg(long, value_name = "STYLE", default_value_t = Style::Any)]
-    pub style: Style,
+    pub(crate) style: Style,
     /// Folder for the files; created if it does not exist.
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
 }
 
 /// Arguments of `blueprints show`.
@@ -70,23 +69,23 @@ pub struct GenerateArgs {
 pub struct ShowArgs {
     /// Blueprints to draw: ids, for example 6_005, files, or folders of files [default: all].
     #[arg(value_name = "FILE|ID", conflicts_with = "split")]
-    pub ids: Vec<OsString>,
+    pub(crate) ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with_all = ["split", "path"])]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation.
     #[arg(long, value_name = "S")]
-    pub split: Option<Split>,
+    pub(crate) split: Option<Split>,
     /// Width of each blueprint's picture in pixels.
     #[arg(long, value_name = "N", default_value_t = 960, value_parser = RangedU64ValueParser::<usize>::new().range(320..=4000))]
-    pub size: usize,
+    pub(crate) size: usize,
     /// Folder for the pictures; created if it does not exist.
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Folder of blueprint files, or one file [default: the built-in catalog].
     #[arg(long, value_name = "FILE_OR_DIR")]
-    pub path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// Write only the contact sheets.
     #[arg(long)]
-    pub only_sheets: bool,
+    pub(crate) only_sheets: bool,
 }

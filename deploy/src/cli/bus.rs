@@ -13,13 +13,12 @@ pub struct EndpointArgs {
     /// Endpoint of the router, for example tcp/127.0.0.1:7447, quic/HOST:7447, tls/HOST:7447, or
     /// unixsock-stream//tmp/bus.sock; may be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
-    pub connect: Vec<String>,
+    pub(crate) connect: Vec<String>,
     /// Act as a router too, and listen here; may be repeated. An address that other machines can reach needs --keys.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
-    pub listen: Vec<String>,
-    /// Keys.
+    pub(crate) listen: Vec<String>,
     #[command(flatten)]
-    pub keys: KeysArgs,
+    pub(crate) keys: KeysArgs,
 }
 
 /// The keys that a process authenticates with.
@@ -28,7 +27,7 @@ pub struct KeysArgs {
     /// Folder of keys made by `lodestone keys new`: the whole folder, or that of this process's role (`watch` has the
     /// role viewer, `render` the role evaluator).
     #[arg(long, value_name = "DIR", env = "LODESTONE_KEYS", value_parser = values::text_path())]
-    pub keys: Option<PathBuf>,
+    pub(crate) keys: Option<PathBuf>,
 }
 
 /// Arguments of `router`.
@@ -37,16 +36,14 @@ pub struct RouterArgs {
     /// Endpoint to listen on, for example tcp/127.0.0.1:7447, or, with --keys, quic/0.0.0.0:7447 (UDP) or
     /// tls/0.0.0.0:7447 (TCP); may be repeated.
     #[arg(long, value_name = "ENDPOINT", required = true, env = "LODESTONE_LISTEN", value_delimiter = ',', value_parser = endpoint)]
-    pub listen: Vec<String>,
+    pub(crate) listen: Vec<String>,
     /// Endpoint of another router to connect to; may be repeated.
     #[arg(long, value_name = "ENDPOINT", env = "LODESTONE_CONNECT", value_delimiter = ',', value_parser = endpoint)]
-    pub connect: Vec<String>,
-    /// Keys.
+    pub(crate) connect: Vec<String>,
     #[command(flatten)]
-    pub keys: KeysArgs,
-    /// Health reporting.
+    pub(crate) keys: KeysArgs,
     #[command(flatten)]
-    pub health: HealthArgs,
+    pub(crate) health: HealthArgs,
 }
 
 /// Where a service reports its health.
@@ -54,7 +51,7 @@ pub struct RouterArgs {
 pub struct HealthArgs {
     /// Write this process's state to this file every 2 s, for `lodestone healthcheck`.
     #[arg(long, value_name = "FILE", env = "LODESTONE_HEALTH_FILE")]
-    pub health_file: Option<PathBuf>,
+    pub(crate) health_file: Option<PathBuf>,
 }
 
 /// Arguments of `healthcheck`.
@@ -62,10 +59,10 @@ pub struct HealthArgs {
 pub struct HealthcheckArgs {
     /// The file that the service writes with --health-file.
     #[arg(long, value_name = "FILE", env = "LODESTONE_HEALTH_FILE")]
-    pub file: PathBuf,
+    pub(crate) file: PathBuf,
     /// Check only that the process is alive and making progress, not that it reaches a router.
     #[arg(long)]
-    pub alive: bool,
+    pub(crate) alive: bool,
 }
 
 /// Subcommands of `keys`.
@@ -82,13 +79,12 @@ pub enum KeysCommand {
 pub struct KeysNewArgs {
     /// Folder for the keys.
     #[arg(value_name = "DIR")]
-    pub dir: PathBuf,
-    /// Hosts and lifetime of the certificate.
+    pub(crate) dir: PathBuf,
     #[command(flatten)]
-    pub certificate: CertificateArgs,
+    pub(crate) certificate: CertificateArgs,
     /// Do nothing if the folder already holds keys.
     #[arg(long)]
-    pub keep: bool,
+    pub(crate) keep: bool,
 }
 
 /// Arguments of `keys router`.
@@ -96,10 +92,9 @@ pub struct KeysNewArgs {
 pub struct KeysRouterArgs {
     /// Folder made by `keys new`, with the authority in it.
     #[arg(value_name = "DIR")]
-    pub dir: PathBuf,
-    /// Hosts and lifetime of the certificate.
+    pub(crate) dir: PathBuf,
     #[command(flatten)]
-    pub certificate: CertificateArgs,
+    pub(crate) certificate: CertificateArgs,
 }
 
 /// Hosts and lifetime of the router's certificate.
@@ -108,10 +103,10 @@ pub struct CertificateArgs {
     /// Name or address at which processes reach the router; may be repeated. localhost, 127.0.0.1, and ::1 are always
     /// included.
     #[arg(long, value_name = "HOST", value_delimiter = ',')]
-    pub host: Vec<String>,
+    pub(crate) host: Vec<String>,
     /// Days until expiry.
     #[arg(long, value_name = "N", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
-    pub days: u32,
+    pub(crate) days: u32,
 }
 
 impl CertificateArgs {

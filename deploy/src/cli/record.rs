@@ -11,48 +11,39 @@ use super::StartArg;
 /// Arguments of `record`.
 #[derive(Debug, Args)]
 pub struct RecordArgs {
-    /// The policy or expert that acts.
-    #[command(flatten)]
-    pub performer: PerformerArgs,
-    /// The blueprints to build.
-    #[command(flatten)]
-    pub goals: GoalArgs,
-    /// Episodes per blueprint.
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub episodes: u32,
-    /// How episodes begin; mixed: every fifth with another blueprint already built.
-    #[arg(long, value_enum, default_value_t = StartArg::Scattered)]
-    pub start: StartArg,
-    /// Seed of the start states and of sampled actions.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    pub seed: u64,
-    /// New folder for the trajectories, one file per episode.
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
-    /// Threads [default: one per core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
-    pub threads: Option<u16>,
-    /// Set one configuration key, for example environment.episode_steps=200; may be repeated.
-    #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
-}
-
-/// The policy or expert that acts.
-#[derive(Clone, Debug, Default, Args)]
-pub struct PerformerArgs {
     /// The shipped policy; this is the default.
     #[arg(long, conflicts_with_all = ["checkpoint", "expert"])]
-    pub pretrained: bool,
+    pub(crate) pretrained: bool,
     /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
     /// one of them, or a file written by `export`.
     #[arg(long, value_name = "DIR_OR_FILE")]
-    pub checkpoint: Option<PathBuf>,
+    pub(crate) checkpoint: Option<PathBuf>,
     /// The scripted expert.
     #[arg(long, conflicts_with = "checkpoint")]
-    pub expert: bool,
+    pub(crate) expert: bool,
     /// Sample the policy's actions instead of acting greedily.
     #[arg(long, conflicts_with = "expert")]
-    pub sampled: bool,
+    pub(crate) sampled: bool,
+    #[command(flatten)]
+    pub(crate) goals: GoalArgs,
+    /// Episodes per blueprint.
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub(crate) episodes: u32,
+    /// How episodes begin; mixed: every fifth with another blueprint already built.
+    #[arg(long, value_enum, default_value_t = StartArg::Scattered)]
+    pub(crate) start: StartArg,
+    /// Seed of the start states and of sampled actions.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// New folder for the trajectories, one file per episode.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Threads [default: one per core].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=64))]
+    pub(crate) threads: Option<u16>,
+    /// Set one configuration key, for example environment.episode_steps=200; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub(crate) set: Vec<String>,
 }
 
 /// The blueprints to build.
@@ -61,9 +52,9 @@ pub struct PerformerArgs {
 pub struct GoalArgs {
     /// This blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated.
     #[arg(long, value_name = "S")]
-    pub split: Vec<Split>,
+    pub(crate) split: Vec<Split>,
 }

@@ -17,59 +17,51 @@ pub struct RenderArgs {
     /// Recorded trajectories, for example from `eval --expert --record DIR`; segments of one episode become one video. For
     /// the folder of a run, all recordings of its evaluator.
     #[arg(value_name = "FILE_OR_RUN", required_unless_present = "connect")]
-    pub files: Vec<PathBuf>,
+    pub(crate) files: Vec<PathBuf>,
     /// Folder for the output; created if it does not exist.
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Output format.
     #[arg(long, value_enum, default_value_t = VideoFormat::Mp4)]
-    pub format: VideoFormat,
+    pub(crate) format: VideoFormat,
     /// Frames per second, at most 50 for a GIF [default: 30 for an MP4; 10 for a GIF or with --attention].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_FPS)))]
-    pub fps: Option<u32>,
+    pub(crate) fps: Option<u32>,
     /// Width in pixels; odd widths are made even [default: 960 for an MP4, 640 for a GIF, 1200 for a strip, and 1280
     /// with --attention].
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(MIN_WIDTH as u64..=MAX_WIDTH as u64))]
-    pub width: Option<usize>,
+    pub(crate) width: Option<usize>,
     /// Folder of blueprint files, or one file, with the goals [default: the built-in catalog].
     #[arg(long, value_name = "FILE_OR_DIR")]
-    pub path: Option<PathBuf>,
+    pub(crate) path: Option<PathBuf>,
     /// Only episodes with this goal: an id, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "path")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
     /// Show what every attention head of a network attends to during the episode, whichever policy acted: the network
     /// of a run's best policy, of one checkpoint, or of an exported file.
     #[arg(long, value_name = "DIR")]
-    pub attention: Option<PathBuf>,
+    pub(crate) attention: Option<PathBuf>,
     /// Print what each head attends to, averaged over all scenes of all files, and write it to attention.csv; no videos.
     #[arg(long, requires = "attention", conflicts_with_all = ["format", "fps", "width", "connect"])]
-    pub table: bool,
-    /// Live episodes of a run's actors.
-    #[command(flatten)]
-    pub live: LiveArgs,
-}
-
-/// The live episodes that `render` waits for.
-#[derive(Debug, Args)]
-pub struct LiveArgs {
+    pub(crate) table: bool,
     /// Watch the actors of a running training instead, through the router at this endpoint; may be repeated.
     #[arg(long, value_name = "ENDPOINT", value_delimiter = ',', value_parser = endpoint, conflicts_with = "files")]
-    pub connect: Vec<String>,
+    pub(crate) connect: Vec<String>,
     /// Name of the run; unless set, a run is named after its preset.
     #[arg(long, value_name = "NAME", default_value = "quickstart", requires = "connect")]
-    pub run: String,
+    pub(crate) run: String,
     /// Keys; those of the role evaluator are used, because viewers may not read trajectories.
     #[command(flatten)]
-    pub keys: KeysArgs,
+    pub(crate) keys: KeysArgs,
     /// Only this actor.
     #[arg(long, value_name = "ID", requires = "connect")]
-    pub actor: Option<ActorId>,
+    pub(crate) actor: Option<ActorId>,
     /// Episodes to wait for.
     #[arg(long, value_name = "N", default_value_t = 1, requires = "connect", value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub episodes: u32,
+    pub(crate) episodes: u32,
     /// Timeout for each episode in seconds.
     #[arg(long, value_name = "S", default_value_t = 60, requires = "connect", value_parser = clap::value_parser!(u64).range(1..=86_400))]
-    pub timeout: u64,
+    pub(crate) timeout: u64,
 }
 
 /// Output format of `render`.

@@ -10,20 +10,20 @@ use proto::ActionMode;
 pub struct ReportArgs {
     /// Folder of a run, in which the evaluator keeps eval.db, or of a sweep.
     #[arg(value_name = "RUN")]
-    pub run: PathBuf,
+    pub(crate) run: PathBuf,
     /// Folder for the tables; created if it does not exist [default: RUN/report].
     #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
+    pub(crate) out: Option<PathBuf>,
     /// Actions of the tables by step: greedy or sampled.
     #[arg(long, value_name = "ACTING", default_value_t = ActionMode::Greedy)]
-    pub acting: ActionMode,
+    pub(crate) acting: ActionMode,
     /// Also write the difference in success between RUN and this run.
     #[arg(long, value_name = "RUN2")]
-    pub minus: Option<PathBuf>,
+    pub(crate) minus: Option<PathBuf>,
     /// Also write RUN and other runs into one table, on the blueprints that all of them evaluated.
     #[arg(long, value_name = "RUN2", num_args = 1..)]
-    pub beside: Vec<PathBuf>,
+    pub(crate) beside: Vec<PathBuf>,
     /// Print the table of groups and the names of the written files as JSON.
     #[arg(long)]
-    pub json: bool,
+    pub(crate) json: bool,
 }

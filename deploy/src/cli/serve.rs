@@ -12,19 +12,19 @@ use super::values;
 pub struct ServeArgs {
     /// Folders of one or more runs, or of a sweep.
     #[arg(required = true, value_name = "RUN")]
-    pub runs: Vec<PathBuf>,
+    pub(crate) runs: Vec<PathBuf>,
     /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
-    pub web: Option<std::net::SocketAddr>,
+    pub(crate) web: Option<std::net::SocketAddr>,
     /// Token that browsers must present; required for an address that other machines can reach.
     #[arg(long, value_name = "TOKEN")]
-    pub token: Option<String>,
+    pub(crate) token: Option<String>,
     /// Instead of serving, write a static copy of the page, with recorded episodes, to this new folder, for any web
     /// server.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["web", "token"])]
-    pub export: Option<PathBuf>,
+    pub(crate) export: Option<PathBuf>,
     /// Record this blueprint in the copy: an id, a file, or a folder of files; may be repeated [default: one of each
     /// group].
     #[arg(long, value_name = "FILE|ID", requires = "export")]
-    pub blueprint: Vec<OsString>,
+    pub(crate) blueprint: Vec<OsString>,
 }

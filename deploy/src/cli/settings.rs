@@ -10,7 +10,8 @@ use proto::Valid;
 use runlog::RunPaths;
 
 use crate::config::{
-    ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, explain, merge, schema,
+    ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, explain, merge, read,
+    schema,
 };
 
 /// Sources of the configuration.
@@ -90,14 +91,15 @@ impl ConfigArgs {
         };
         if let Some(folder) = resume {
             // Runs of earlier versions name no base; like all others, they are merged over the defaults.
-            let (text, origin) = read(&RunPaths::new(folder).config())?;
-            let before = merge(&text, &origin, Base::Defaults, &[])?;
+            let path = RunPaths::new(folder).config();
+            let (text, origin) = (read(&path)?, path.display().to_string());
+            let before = Config::parse(&text, &origin)?;
             let settings = settings(&text, &origin, Base::Defaults, origin.clone(), None)?;
             goes_on(&before, &settings.config, folder)?;
             return Ok(settings);
         }
         if let Some(file) = &self.config {
-            let (text, origin) = read(file)?;
+            let (text, origin) = (read(file)?, file.display().to_string());
             let base = self.base(&text, &origin)?;
             return settings(&text, &origin, base, format!("{origin} over {base}"), None);
         }
@@ -193,12 +195,6 @@ fn goes_on(before: &Config, now: &Config, folder: &Path) -> Result<(), ConfigErr
         }
     }
     Ok(())
-}
-
-/// The text and the name of a configuration file.
-fn read(path: &Path) -> Result<(String, String), ConfigError> {
-    let text = crate::config::read(path)?;
-    Ok((text, path.display().to_string()))
 }
 
 #[cfg(test)]

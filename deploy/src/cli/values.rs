@@ -5,17 +5,14 @@ use std::path::PathBuf;
 
 use clap::builder::{OsStringValueParser, TypedValueParser};
 
+use crate::config::is_whole;
+
 /// Parses a number of environment steps: `1000000`, `1_000_000`, `1e6`, or `2.5e6`.
-///
-/// # Errors
-/// When it is not a whole number of at least 1.
 pub(super) fn steps(text: &str) -> Result<i64, String> {
-    /// Beyond this, not every whole number is a float.
-    const MAX_EXACT: f64 = 9e15;
     let digits = text.replace('_', "");
     let number = digits.parse::<i64>().ok().or_else(|| {
         let number: f64 = digits.parse().ok()?;
-        (number.fract() == 0.0 && number.abs() <= MAX_EXACT).then_some(number as i64)
+        is_whole(number).then_some(number as i64)
     });
     match number {
         Some(number) if number >= 1 => Ok(number),
@@ -25,9 +22,6 @@ pub(super) fn steps(text: &str) -> Result<i64, String> {
 }
 
 /// Parses the endpoint of a router; `HOST:PORT` alone means TCP. The bus validates the result.
-///
-/// # Errors
-/// Never; clap's value parsers return a `Result`.
 pub(super) fn endpoint(text: &str) -> Result<String, String> {
     let text = text.trim();
     let is_address = || {
@@ -47,9 +41,6 @@ pub(super) fn text_path() -> impl TypedValueParser<Value = PathBuf> {
 }
 
 /// Parses the address of a web page: `127.0.0.1:8080`, `localhost:8080`, or a port alone, which means 127.0.0.1.
-///
-/// # Errors
-/// When it is none of these.
 pub(super) fn address(text: &str) -> Result<SocketAddr, String> {
     let port = match text.rsplit_once(':') {
         None => Some(text),

@@ -3,7 +3,7 @@
 
 use proto::{Valid, Weights};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context;
 use evaluator::{PolicyConfig, Scored, Verdict};
@@ -41,7 +41,6 @@ const MAX_SNAPSHOT_BYTES: usize = 64 << 20;
 struct Keeper {
     policy: Valid<PolicyConfig>,
     paths: RunPaths,
-    path: PathBuf,
     /// The verdict on the policy in the file.
     kept: Option<Verdict>,
     /// A better policy that could not be written yet.
@@ -65,7 +64,7 @@ impl Keeper {
                 None
             }
         });
-        Self { policy, paths: paths.clone(), path, kept, waiting: None }
+        Self { policy, paths: paths.clone(), kept, waiting: None }
     }
 
     fn offer(&mut self, new: Scored) {
@@ -105,8 +104,9 @@ impl Keeper {
     fn write(&self, Scored { weights, verdict }: &Scored) -> anyhow::Result<()> {
         let mut model = Model::new(&self.policy, weights);
         model.verdict = Some(serde_json::to_value(verdict)?);
-        write(&self.path, &model.to_bytes()?)?;
-        tracing::info!(path = %self.path.display(), n_env_steps = weights.n_env_steps, "the best so far: {verdict}");
+        let path = self.paths.best();
+        write(&path, &model.to_bytes()?)?;
+        tracing::info!(path = %path.display(), n_env_steps = weights.n_env_steps, "the best so far: {verdict}");
         Ok(())
     }
 }

@@ -41,9 +41,6 @@ struct Verdict<'a> {
 }
 
 /// Runs the subcommand.
-///
-/// # Errors
-/// When a file cannot be read or written, a check fails, a blueprint is unknown, or nothing can be generated.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
@@ -108,7 +105,7 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     let n_failed = reports.iter().filter(|report| !report.passed()).count();
     match n_failed {
         0 => Ok(()),
-        _ => Err(Failure::Blueprints { n_failed, n_files: reports.len() }),
+        _ => Err(Failure::Input(format!("{n_failed} of {} blueprints failed a check", reports.len()))),
     }
 }
 

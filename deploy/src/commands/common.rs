@@ -14,9 +14,6 @@ use crate::run_dir::{Origin, check_run};
 use crate::shell;
 
 /// Where the run starts; prints a note if the given preset or file is ignored, or if there is no checkpoint to resume.
-///
-/// # Errors
-/// When the folder to continue is not that of a run.
 pub(super) fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Result<Origin, Failure> {
     run.resume.as_deref().map_or(Ok(()), check_run)?;
     let origin = Origin::find(run);

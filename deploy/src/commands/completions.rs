@@ -3,17 +3,18 @@
 use blueprints::Catalog;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Command, CommandFactory, ValueHint};
+use clap_complete::Shell;
 
-use crate::cli::{Cli, CompletionsArgs};
+use crate::cli::Cli;
 use crate::config::keys;
 use crate::live::Terminal;
 
 /// Prints the completions for a shell.
-pub(super) fn completions(args: &CompletionsArgs, terminal: &Terminal) {
+pub(super) fn completions(shell: Shell, terminal: &Terminal) {
     let mut command = with_values(Cli::command());
     let name = command.get_name().to_owned();
     let mut text = Vec::new();
-    clap_complete::generate(args.shell, &mut command, name, &mut text);
+    clap_complete::generate(shell, &mut command, name, &mut text);
     terminal.print(&String::from_utf8_lossy(&text));
 }
 

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use blueprints::{Blueprint, Split};
+use blueprints::Split;
 use evaluator::{
     Endings, EvalSetup, EvaluatorConfig, Follower, N_WORLDS, Selection, evaluate_followed, render, render_endings,
 };
@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use super::expert;
 use super::goals::{Goals, tell_choices};
 use super::models::Source;
-use crate::cli::{EvalArgs, ModelArgs};
+use crate::cli::EvalArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
@@ -21,15 +21,11 @@ use crate::live::{self, EpisodeCounter, Terminal};
 ///
 /// The world and the seed come from the configuration of the run that trained the policy, or from the defaults. So do,
 /// without `--split`, the blueprints, which are those of the run's last evaluation; the shipped policy gets the paper's.
-///
-/// # Errors
-/// When the policy or the run's configuration cannot be read, an episode cannot be started, or `shutdown` came first.
 pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     if args.expert {
         return expert::run(args, terminal, shutdown);
     }
-    let model = ModelArgs { checkpoint: args.checkpoint.clone(), pretrained: args.pretrained };
-    let source = Source::open(&model)?;
+    let source = Source::of(args.checkpoint.as_deref())?;
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let config = source.config(&overrides)?;
     let selection = if !args.split.is_empty() {
@@ -41,18 +37,13 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     };
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open_beside(&args.blueprint, args.checkpoint.as_deref())?;
-    let (catalog, named) = (goals.catalog(), goals.blueprints()?);
-    let blueprints: Vec<&Blueprint> = if named.is_empty() {
-        selection.select(catalog).map_err(|error| Failure::Usage(error.to_string()))?
-    } else {
-        named.iter().map(AsRef::as_ref).collect()
-    };
+    let blueprints = goals.or_selected(&selection)?;
     let environment = Config::evaluation_environment(&config);
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     episodes.n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
-        catalog,
+        catalog: &goals.catalog,
         environment,
         episodes,
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.clone().unwrap_or_default()),

@@ -6,8 +6,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context;
-use blueprints::Group;
-use blueprints::{Blueprint, Catalog, Split};
+use blueprints::{Catalog, Group};
 use evaluator::{
     EpisodeConfig, EvalSetup, ExpertFailure, ExpertReport, Follower, Selection, evaluate_expert_followed, render_expert,
 };
@@ -56,19 +55,17 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     let config = defaults(&overrides)?;
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open(&args.blueprint)?;
-    let (catalog, named) = (goals.catalog(), goals.blueprints()?);
-    let blueprints: Vec<&Blueprint> = match named.is_empty() {
-        true => Selection { splits: splits(args), ..Selection::default() }
-            .select(catalog)
-            .map_err(|error| Failure::Usage(error.to_string()))?,
-        false => named.iter().map(AsRef::as_ref).collect(),
-    };
+    let mut selection = Selection::default();
+    if !args.split.is_empty() {
+        selection.splits = args.split.clone();
+    }
+    let blueprints = goals.or_selected(&selection)?;
     for folder in args.explain.iter().chain(&args.record) {
         fs::create_dir(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
     let n_threads = limits::n_threads(args.threads);
     let setup = EvalSetup {
-        catalog,
+        catalog: &goals.catalog,
         environment: Config::evaluation_environment(&config),
         episodes: EpisodeConfig { n_episodes: args.episodes, n_threads, ..config.evaluator.episodes.clone() },
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.clone().unwrap_or_default()),
@@ -88,7 +85,7 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         explain(folder, &report.failures)?;
     }
     if let Some(folder) = &args.record {
-        record(folder, catalog, &report)?;
+        record(folder, &goals.catalog, &report)?;
     }
     if args.json {
         let timed = Timed { report: &report, steps_per_second, n_threads };
@@ -106,10 +103,6 @@ fn defaults(overrides: &[Override]) -> Result<Valid<Config>, Failure> {
     // No policy acts here.
     config.policy.features.n_grippers = config.environment.n_grippers;
     Ok(config.checked()?)
-}
-
-fn splits(args: &EvalArgs) -> Vec<Split> {
-    if args.split.is_empty() { Split::PAPER.to_vec() } else { args.split.clone() }
 }
 
 /// Writes replays of the first success and the first failure of each group.

@@ -1,7 +1,7 @@
 //! Writes the output files of commands.
 
 use std::fs::{self, OpenOptions};
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::Context;
@@ -13,9 +13,6 @@ use crate::replace::{PLAIN, replace};
 pub(super) type File = (String, Vec<u8>);
 
 /// Writes files to a folder, which is created if it does not exist. No reader sees a partial file.
-///
-/// # Errors
-/// Names the file or folder that cannot be written.
 pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) -> anyhow::Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     for (name, bytes) in files {
@@ -25,12 +22,14 @@ pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) 
     Ok(())
 }
 
+/// The refusal to replace what exists.
+pub(super) fn exists(path: &Path) -> Failure {
+    Failure::Input(format!("{} exists already; nothing was written", path.display()))
+}
+
 /// Writes a blueprint file; never replaces an existing one.
-///
-/// # Errors
-/// Names the file if it exists or cannot be written.
 pub(super) fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
-    let failed = |error| Failure::BlueprintFile { path: path.to_owned(), error };
+    let failed = |error: io::Error| Failure::Input(format!("cannot write {}: {error}", path.display()));
     let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
     file.write_all(text.as_bytes()).map_err(failed)
 }

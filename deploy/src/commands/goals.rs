@@ -10,20 +10,22 @@ use anyhow::{Context, anyhow};
 use blueprints::catalog::read_files;
 use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
+use evaluator::Selection;
 use runlog::RunPaths;
 
 use super::files::write_files;
-use crate::config::{Override, nearest};
+use crate::config::{Override, nearest, suggestion_or};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
 /// Named blueprints, and a catalog that contains them in addition to the built-in ones.
 pub(super) struct Goals {
-    catalog: Arc<Catalog>,
-    /// Blueprints that the built-in catalog lacks: from files, and generated ones.
+    pub(super) catalog: Arc<Catalog>,
+    /// Blueprints that the built-in catalog lacks: from files, and generated ones. The folder of a run keeps a copy of
+    /// them.
     own: Vec<BlueprintId>,
-    /// The named blueprints.
-    ids: Vec<BlueprintId>,
+    /// The named blueprints, in the order in which they were named; the catalog has all of them.
+    pub(super) ids: Vec<BlueprintId>,
 }
 
 /// A named blueprint, and the name that it was found by.
@@ -97,41 +99,25 @@ impl Goals {
         }
     }
 
-    /// The catalog of the named and the built-in blueprints.
-    pub(super) fn catalog(&self) -> &Arc<Catalog> {
-        &self.catalog
+    /// The named blueprints; empty if none were.
+    pub(super) fn blueprints(&self) -> Vec<&Blueprint> {
+        self.ids.iter().filter_map(|id| self.catalog.get(id)).collect()
     }
 
-    /// The ids of the named blueprints.
-    pub(super) fn ids(&self) -> &[BlueprintId] {
-        &self.ids
+    /// The named blueprints, or else those of `selection`.
+    pub(super) fn or_selected(&self, selection: &Selection) -> Result<Vec<&Blueprint>, Failure> {
+        if self.ids.is_empty() {
+            return selection.select(&self.catalog).map_err(|error| Failure::Usage(error.to_string()));
+        }
+        Ok(self.blueprints())
     }
 
-    /// The named blueprints in the order in which they were named; empty if none were.
+    /// Like [`Self::open_beside`], for goals that a training learns and evaluates.
     ///
     /// # Errors
-    /// Never, once [`Self::open`] has succeeded.
-    pub(super) fn blueprints(&self) -> Result<Vec<Cow<'_, Blueprint>>, Failure> {
-        self.ids.iter().map(|id| find(&self.catalog, id.as_str())).collect()
-    }
-}
-
-/// The blueprints that a training learns and evaluates.
-pub(super) struct TrainingGoals {
-    catalog: Arc<Catalog>,
-    /// Blueprints that the built-in catalog lacks; the run's folder keeps a copy of them.
-    own: Vec<BlueprintId>,
-    /// The named blueprints; if empty, the configuration chooses.
-    ids: Vec<String>,
-}
-
-impl TrainingGoals {
-    /// Resolves names, with the blueprints kept with the resumed run in the folder `run`, if any.
-    ///
-    /// # Errors
-    /// As for [`Goals::open`]; also names a blueprint that is held out from training.
-    pub(super) fn open(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
-        let goals = Goals::open_beside(named, run)?;
+    /// As for [`Self::open_beside`]; also names a blueprint that is held out from training.
+    pub(super) fn for_training(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
+        let goals = Self::open_beside(named, run)?;
         for id in goals.ids.iter().chain(&goals.own) {
             let goal = find(&goals.catalog, id.as_str())?;
             if goal.split() != Split::Train {
@@ -149,34 +135,26 @@ impl TrainingGoals {
                 )));
             }
         }
-        let ids = goals.ids.iter().map(ToString::to_string).collect();
-        Ok(Self { catalog: goals.catalog, own: goals.own, ids })
+        Ok(goals)
     }
 
-    /// The catalog of all goals.
-    pub(super) fn catalog(&self) -> &Arc<Catalog> {
-        &self.catalog
-    }
-
-    /// The settings of a training on the named goals alone.
+    /// The settings of a training on the named goals alone; none if the configuration is to choose.
     pub(super) fn settings(&self) -> Vec<Override> {
         if self.ids.is_empty() {
             return Vec::new();
         }
+        let ids: Vec<String> = self.ids.iter().map(ToString::to_string).collect();
         let flag = |path: &str, value: toml::Value| Override::flag("--blueprint", path, value);
         vec![
-            flag("actor.tasks.filter.blueprints", self.ids.clone().into()),
+            flag("actor.tasks.filter.blueprints", ids.clone().into()),
             flag("evaluator.selection.splits", vec!["train"].into()),
             flag("evaluator.selection.sizes", vec![2, N_BLOCKS as i64].into()),
-            flag("evaluator.selection.blueprints", self.ids.clone().into()),
+            flag("evaluator.selection.blueprints", ids.into()),
         ]
     }
 
     /// Writes blueprints that the built-in catalog lacks to the run's folder, so that the run can resume without the
     /// original files, and what tells whether they are still the same.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
     pub(super) fn keep(&self, run: &RunPaths) -> Result<(), Failure> {
         if self.own.is_empty() {
             return Ok(());
@@ -185,8 +163,8 @@ impl TrainingGoals {
             (format!("{}.toml", goal.id()), goal.to_toml("a goal that this run was given").into_bytes())
         };
         let own: Vec<&Blueprint> = self.own.iter().filter_map(|id| self.catalog.get(id)).collect();
-        let structures: BTreeMap<&str, String> =
-            own.iter().map(|goal| (goal.id().as_str(), fingerprint(goal))).collect();
+        let structures: BTreeMap<&BlueprintId, String> =
+            own.iter().map(|goal| (goal.id(), fingerprint(goal))).collect();
         let structures = serde_json::to_vec_pretty(&structures).map_err(anyhow::Error::from)?;
         let files = own.iter().map(text).chain([(STRUCTURES.to_owned(), structures)]);
         write_files(&run.blueprints(), &files.collect::<Vec<_>>())?;
@@ -226,9 +204,6 @@ fn fingerprint(blueprint: &Blueprint) -> String {
 }
 
 /// Checks that the blueprints kept with a run have the structures that the run began with.
-///
-/// # Errors
-/// Names the blueprint that was replaced.
 fn check_unchanged(folder: &Path, kept: &Catalog) -> Result<(), Failure> {
     let path = folder.join(STRUCTURES);
     if !path.exists() {
@@ -260,9 +235,6 @@ pub(super) fn run_of(path: &Path) -> Option<RunPaths> {
 }
 
 /// What was inferred to complete the files and folders among `named`, one line each.
-///
-/// # Errors
-/// When a file cannot be read.
 pub(super) fn inferred(named: &[OsString]) -> Result<Vec<String>, Failure> {
     let mut lines = Vec::new();
     for path in named.iter().filter(|name| is_path(name)) {
@@ -274,9 +246,6 @@ pub(super) fn inferred(named: &[OsString]) -> Result<Vec<String>, Failure> {
 }
 
 /// Prints the choices made for blocks, in the files among `named`, that could be oriented in several ways.
-///
-/// # Errors
-/// When a file cannot be read.
 pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<(), Failure> {
     for path in named.iter().filter(|name| is_path(name)) {
         for (file, text) in read_files(Path::new(path))? {
@@ -295,9 +264,10 @@ pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<()
 pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
     let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
     let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id)).map(Cow::Borrowed);
-    found.or_else(titled).ok_or_else(|| Failure::UnknownBlueprint {
-        id: id.to_owned(),
-        nearest: nearest(id, catalog.iter().flat_map(|blueprint| [blueprint.id().as_str(), blueprint.title()])),
+    found.or_else(titled).ok_or_else(|| {
+        let nearest = nearest(id, catalog.iter().flat_map(|blueprint| [blueprint.id().as_str(), blueprint.title()]));
+        let suggestion = suggestion_or(&nearest, "; `lodestone blueprints list` lists them");
+        Failure::Input(format!("there is no blueprint `{id}`{suggestion}"))
     })
 }
 
@@ -316,7 +286,7 @@ mod tests {
     fn ids(named: &[&str]) -> Vec<String> {
         let named: Vec<OsString> = named.iter().map(OsString::from).collect();
         let goals = Goals::open(&named).unwrap();
-        goals.blueprints().unwrap().iter().map(|blueprint| blueprint.id().to_string()).collect()
+        goals.blueprints().iter().map(|blueprint| blueprint.id().to_string()).collect()
     }
 
     #[test]
@@ -347,7 +317,7 @@ mod tests {
         std::fs::write(&file, format!("blocks = [{blocks}]")).unwrap();
         let named = [file.clone().into(), "6_005".into()];
         assert_eq!(inferred(&named).unwrap().len(), 5);
-        let goals = TrainingGoals::open(&named, None).unwrap();
+        let goals = Goals::for_training(&named, None).unwrap();
         let config =
             crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
                 .unwrap();
@@ -358,23 +328,23 @@ mod tests {
             ids.sort();
             ids
         };
-        assert_eq!(selected(goals.catalog()), ["6_005", "my-tower"]);
-        assert_eq!(config.actor.tasks.filter.select(goals.catalog()).unwrap().len(), 2);
+        assert_eq!(selected(&goals.catalog), ["6_005", "my-tower"]);
+        assert_eq!(config.actor.tasks.filter.select(&goals.catalog).unwrap().len(), 2);
 
         let run = RunPaths::new(folder.path().join("run"));
         goals.keep(&run).unwrap();
         std::fs::write(run.config(), config.to_toml()).unwrap();
         std::fs::remove_file(&file).unwrap();
-        let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
-        assert_eq!(selected(resumed.catalog()), ["6_005", "my-tower"]);
-        assert_eq!((resumed.catalog(), resumed.settings().len()), (goals.catalog(), 0));
+        let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
+        assert_eq!(selected(&resumed.catalog), ["6_005", "my-tower"]);
+        assert_eq!((&resumed.catalog, resumed.settings().len()), (&goals.catalog, 0));
         let evaluated = Goals::open_beside(&["my-tower".into()], Some(&run.checkpoints().join("step-1"))).unwrap();
-        assert_eq!(evaluated.blueprints().unwrap().len(), 1);
+        assert_eq!(evaluated.blueprints().len(), 1);
 
         let kept = run.blueprints().join("my-tower.toml");
         let other = Catalog::builtin().get(&"3_001".parse().unwrap()).unwrap().to_toml("another structure");
         std::fs::write(&kept, other.replace("\"3_001\"", "\"my-tower\"")).unwrap();
-        let error = TrainingGoals::open(&[], Some(run.folder())).err().unwrap();
+        let error = Goals::for_training(&[], Some(run.folder())).err().unwrap();
         assert!(matches!(error, Failure::Checkpoint(_)), "{error}");
         assert!(error.to_string().contains("my-tower is not the structure that the run began with"), "{error}");
     }
@@ -413,14 +383,14 @@ mod tests {
     #[test]
     fn a_generated_goal_is_trained_on_and_kept() {
         let folder = tempfile::tempdir().unwrap();
-        let goals = TrainingGoals::open(&["gen1-arch-7_6_000".into()], None).unwrap();
+        let goals = Goals::for_training(&["gen1-arch-7_6_000".into()], None).unwrap();
         let run = RunPaths::new(folder.path().join("run"));
         goals.keep(&run).unwrap();
         std::fs::write(run.config(), "").unwrap();
-        let resumed = TrainingGoals::open(&[], Some(run.folder())).unwrap();
+        let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
         let id = "gen1-arch-7_6_000".parse().unwrap();
-        assert_eq!(resumed.catalog().get(&id), goals.catalog().get(&id));
-        assert!(goals.catalog().get(&id).is_some());
+        assert_eq!(resumed.catalog.get(&id), goals.catalog.get(&id));
+        assert!(goals.catalog.get(&id).is_some());
     }
 
     #[test]
@@ -435,7 +405,7 @@ mod tests {
             ("validation_7_000".to_owned(), "of the split validation, which is held out"),
             ("6-005".to_owned(), "did you mean `6_005`"),
         ] {
-            let message = TrainingGoals::open(&[name.into()], None).err().unwrap().to_string();
+            let message = Goals::for_training(&[name.into()], None).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
     }

@@ -7,9 +7,6 @@ use crate::live::Terminal;
 use crate::shell;
 
 /// Creates or renews keys.
-///
-/// # Errors
-/// When the folder already holds keys, or nothing can be written.
 pub(super) fn run(command: &KeysCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         KeysCommand::New(args) if args.keep && keys::exist(&args.dir) => {

@@ -45,20 +45,21 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown)),
-        Command::Render(args) if args.live.connect.is_empty() => render::run(&args, terminal),
+        Command::Render(args) if args.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
-        Command::Completions(args) => {
-            completions::completions(&args, terminal);
+        Command::Completions { shell } => {
+            completions::completions(shell, terminal);
             Ok(())
         }
         Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown)),
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
             let source = models::Source::of(args.checkpoint.as_deref())?;
-            goals::tell_choices(&[&args.ids[..], &args.blueprint[..]].concat(), terminal)?;
-            let program = play::Program::of(&args)?;
-            let config = play::configure(&source, &program, &args)?;
-            on_runtime(async |shutdown| play::run(source, program, &config, &args, terminal, shutdown).await)
+            let named = [&args.ids[..], &args.blueprint[..]].concat();
+            goals::tell_choices(&named, terminal)?;
+            let goals = goals::Goals::open_beside(&named, args.checkpoint.as_deref())?;
+            let config = play::configure(&source, &goals.ids, &args)?;
+            on_runtime(async |shutdown| play::run(source, &goals, &config, &args, terminal, shutdown).await)
         }
         Command::Serve(args) => on_runtime(async |shutdown| serve::run(&args, terminal, shutdown).await),
         Command::Report(args) => report::run(&args, terminal),

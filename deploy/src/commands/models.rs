@@ -1,14 +1,14 @@
 //! Loads policies: from checkpoints, from exported files, and the shipped one.
 
 use proto::Valid;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use evaluator::Policy;
 use learner::{Checkpoint, CheckpointError, Model};
 
 use super::best;
 use super::files::write_files;
-use crate::cli::{ExportArgs, ModelArgs};
+use crate::cli::ExportArgs;
 use crate::config::{Base, Config, Override, Preset, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -30,23 +30,9 @@ pub(super) struct Source {
 }
 
 impl Source {
-    /// Reads the policy that the arguments select.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is damaged.
-    pub(super) fn open(args: &ModelArgs) -> Result<Self, Failure> {
-        Self::of(args.checkpoint.as_deref())
-    }
-
     /// Reads a policy like [`Self::read`], or returns the shipped one.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is damaged.
     pub(super) fn of(checkpoint: Option<&Path>) -> Result<Self, Failure> {
-        match checkpoint {
-            Some(path) => Self::read(path),
-            None => Self::pretrained(),
-        }
+        checkpoint.map_or_else(Self::pretrained, Self::read)
     }
 
     /// Returns the policy that a training starts from: `pretrained`, or anything that [`Self::read`] accepts.
@@ -63,9 +49,6 @@ impl Source {
 
     /// Reads an exported file, a checkpoint, the best policy of a run or else its newest checkpoint, or the newest of a
     /// folder of checkpoints.
-    ///
-    /// # Errors
-    /// When a file cannot be read or is damaged, or no policy can act with its weights.
     pub(super) fn read(path: &Path) -> Result<Self, Failure> {
         let source = Self::read_untried(path)?;
         // Whoever waits for an action of such a policy would wait forever.
@@ -87,7 +70,9 @@ impl Source {
         if let Some(best) = Self::best(path) {
             return best;
         }
-        let found = Checkpoint::read_latest(&checkpoint_folder(path)).map_err(|error| match error {
+        let inside = RunPaths::new(path).checkpoints();
+        let folder = if inside.is_dir() { inside.as_path() } else { path };
+        let found = Checkpoint::read_latest(folder).map_err(|error| match error {
             CheckpointError::Absent(_) => Failure::Checkpoint(anyhow::anyhow!("{error}{}", runs_in(path))),
             error => unusable(error),
         })?;
@@ -120,9 +105,6 @@ impl Source {
     }
 
     /// The configuration with `overrides` applied and the policy section of the model.
-    ///
-    /// # Errors
-    /// When an override is wrong or the result is not valid.
     pub(super) fn config(&self, overrides: &[Override]) -> Result<Valid<Config>, Failure> {
         let (text, origin) = &self.config;
         let config = merge(text, origin, Base::Defaults, overrides)?;
@@ -131,9 +113,6 @@ impl Source {
 }
 
 /// Runs `export`.
-///
-/// # Errors
-/// When there is no complete checkpoint, or the file exists or cannot be written.
 pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let mut model = Source::read(&args.checkpoint)?.model;
     // Of this run, and nothing that acting needs.
@@ -156,12 +135,6 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
         n_bytes.div_ceil(1000)
     ));
     Ok(())
-}
-
-/// The folder of checkpoints for a run's folder; a checkpoint's folder is returned as it is.
-fn checkpoint_folder(given: &Path) -> PathBuf {
-    let inside = RunPaths::new(given).checkpoints();
-    if inside.is_dir() { inside } else { given.to_owned() }
 }
 
 /// The text and the name of the nearest `config.toml` up to two folders above the checkpoint, or the defaults.

@@ -28,40 +28,16 @@ const NAME: &str = "play";
 /// Episodes per blueprint of an evaluation that is to be kept.
 const N_EPISODES: u32 = 4;
 
-/// The goals to show.
-pub(super) struct Program {
-    /// All goals that can be selected.
-    catalog: Arc<Catalog>,
-    /// The named goals; empty for the whole catalog.
-    named: Vec<BlueprintId>,
-}
-
-impl Program {
-    /// Resolves the named goals, with the blueprints kept with the policy's run.
-    ///
-    /// # Errors
-    /// Names the file that is not a blueprint, or the unknown id and the nearest known one.
-    pub(super) fn of(args: &PlayArgs) -> Result<Self, Failure> {
-        let named = [&args.ids[..], &args.blueprint[..]].concat();
-        let goals = Goals::open_beside(&named, args.checkpoint.as_deref())?;
-        let named = goals.ids().to_vec();
-        Ok(Self { catalog: goals.catalog().clone(), named })
-    }
-}
-
-/// The configuration of a run that consists of the evaluator only.
-///
-/// # Errors
-/// When the policy cannot be read or a setting is not valid.
-pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> Result<Valid<Config>, Failure> {
+/// The configuration of a run that consists of the evaluator only, for the blueprints `named`, or for all.
+pub(super) fn configure(source: &Source, named: &[BlueprintId], args: &PlayArgs) -> Result<Valid<Config>, Failure> {
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let mut overrides = vec![
         Override::flag("play", "bus.run", NAME),
         Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes.unwrap_or(N_EPISODES))),
         Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
-    if !program.named.is_empty() {
-        let ids: Vec<String> = program.named.iter().map(ToString::to_string).collect();
+    if !named.is_empty() {
+        let ids: Vec<String> = named.iter().map(ToString::to_string).collect();
         let splits: Vec<String> = Split::ALL.iter().map(ToString::to_string).collect();
         overrides.push(Override::flag("ID", "evaluator.videos.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
@@ -76,18 +52,15 @@ pub(super) fn configure(source: &Source, program: &Program, args: &PlayArgs) -> 
 }
 
 /// Serves the page until `shutdown`, and evaluates the policy once if that is asked for.
-///
-/// # Errors
-/// When the page's address is taken, the folder cannot be written, or the evaluation fails.
 pub(super) async fn run(
     source: Source,
-    program: Program,
+    goals: &Goals,
     config: &Valid<Config>,
     args: &PlayArgs,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let catalog = program.catalog.clone();
+    let catalog = goals.catalog.clone();
     let weights = published(source, config, &catalog)?;
     let weights = Arc::new(weights);
     let page = services::page(services::web(config), terminal).await?;
@@ -97,7 +70,7 @@ pub(super) async fn run(
     let run = args.checkpoint.as_deref().and_then(run_of);
     // So that the first episode does not wait for the bus.
     let first = Some(weights.clone());
-    let page = page.map(|page| services::Opened { page, about: about(args, program), first, run });
+    let page = page.map(|page| services::Opened { page, about: about(args, goals), first, run });
     let kept = args.run_dir.as_deref();
     let run_dir = kept.map(|folder| RunDir::create(Some(folder), config, None, &Origin::default())).transpose()?;
     terminal.print(&match &run_dir {
@@ -126,9 +99,8 @@ pub(super) async fn run(
     let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
     let ended = services::evaluate(setup, listeners, page, bus.clone(), stop).await;
     bus.close().await;
-    let panicked = |panic: tokio::task::JoinError| Failure::Service(panic.into());
-    counting.await.map_err(panicked)?;
-    shown.await.map_err(panicked)?;
+    services::finished(counting).await?;
+    services::finished(shown).await?;
     ended
 }
 
@@ -146,15 +118,21 @@ fn open(address: &str) {
 }
 
 /// Describes the page, which shows no training here.
-fn about(args: &PlayArgs, program: Program) -> About {
+fn about(args: &PlayArgs, goals: &Goals) -> About {
     let run = match &args.checkpoint {
         None => "the policy that comes with the program".to_owned(),
         Some(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
     };
-    let Program { named: blueprints, catalog } = program;
-    let farewell = Farewell { ended: "the program", command: Some(command(args)) };
-    let origin = serde_json::Value::Null;
-    About { kind: Kind::Play, run, preset: None, n_env_steps: None, blueprints, catalog, farewell, origin }
+    About {
+        kind: Kind::Play,
+        run,
+        preset: None,
+        n_env_steps: None,
+        blueprints: goals.ids.clone(),
+        catalog: goals.catalog.clone(),
+        farewell: Farewell { ended: "the program", command: Some(command(args)) },
+        origin: serde_json::Value::Null,
+    }
 }
 
 /// The command that plays the same policy and goals.

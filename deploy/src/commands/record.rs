@@ -1,6 +1,5 @@
 //! `record`: records episodes as trajectories.
 
-use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 
@@ -12,10 +11,10 @@ use proto::codec::encode_recording;
 use proto::{ActionMode, Trajectory};
 use tokio_util::sync::CancellationToken;
 
-use super::files::write_files;
+use super::files::{exists, write_files};
 use super::goals::{Goals, is_path, tell_choices};
 use super::models::Source;
-use crate::cli::{PerformerArgs, RecordArgs};
+use crate::cli::RecordArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::limits;
@@ -38,20 +37,18 @@ struct Recording<'a> {
 pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     Override::only_in(&["environment", "policy"], &overrides)?;
-    let PerformerArgs { checkpoint, expert, sampled, .. } = &args.performer;
     // The expert acts in the world of the shipped policy.
-    let source = Source::of(checkpoint.as_deref())?;
+    let source = Source::of(args.checkpoint.as_deref())?;
     let config = source.config(&overrides)?;
     tell_choices(&args.goals.blueprint, terminal)?;
-    let goals = Goals::open_beside(&args.goals.blueprint, checkpoint.as_deref())?;
-    let selected = select(&goals, args)?;
-    let blueprints: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
+    let goals = Goals::open_beside(&args.goals.blueprint, args.checkpoint.as_deref())?;
+    let blueprints = select(&goals, args);
     let performer =
-        if *expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
-    let acting = if *sampled { ActionMode::Sampled } else { ActionMode::Greedy };
+        if args.expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
+    let acting = if args.sampled { ActionMode::Sampled } else { ActionMode::Greedy };
     create(&args.out)?;
     let setup = EvalSetup {
-        catalog: goals.catalog(),
+        catalog: &goals.catalog,
         environment: Config::evaluation_environment(&config),
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
@@ -91,18 +88,18 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
 }
 
 /// The named blueprints, or those of the splits.
-fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Result<Vec<Cow<'g, Blueprint>>, Failure> {
+fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Vec<&'g Blueprint> {
     if args.goals.split.is_empty() {
         return goals.blueprints();
     }
     let wanted = |blueprint: &&Blueprint| args.goals.split.contains(&blueprint.split());
-    Ok(goals.catalog().iter().filter(wanted).map(Cow::Borrowed).collect())
+    goals.catalog.iter().filter(wanted).collect()
 }
 
 /// Creates the folder.
 fn create(folder: &Path) -> Result<(), Failure> {
     if folder.exists() {
-        return Err(Failure::Exists(folder.to_owned()));
+        return Err(exists(folder));
     }
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     Ok(())

@@ -27,9 +27,6 @@ const N_STRIP_MOMENTS: usize = 5;
 const STRIP_COLORS: usize = 96;
 
 /// Runs the subcommand. Reads every file before it makes the first video.
-///
-/// # Errors
-/// When a file is not a recording, its goal is unknown, or a video cannot be made or written.
 pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure> {
     let goals = Goals::new(args)?;
     let policy = policy(args)?;

@@ -11,9 +11,6 @@ use crate::exit::Failure;
 use crate::health::Reporter;
 
 /// Routes messages until `shutdown`.
-///
-/// # Errors
-/// When it cannot listen on an endpoint.
 pub(super) async fn run(args: &RouterArgs, shutdown: CancellationToken) -> Result<(), Failure> {
     // A run's name prefixes only the keys that its own processes use, so one router serves every run.
     let (listen, connect) = (args.listen.clone(), args.connect.clone());

@@ -22,7 +22,7 @@ use super::names::names;
 use super::stage::stage;
 use super::sweep;
 use crate::cli::ServeArgs;
-use crate::config::{Base, Config, merge, read};
+use crate::config::{Config, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_run, origin_of, preset_of};
@@ -31,9 +31,6 @@ use crate::run_dir::{check_run, origin_of, preset_of};
 const MAX_RUNS: usize = 60;
 
 /// Serves the page until `shutdown`, or writes the copy.
-///
-/// # Errors
-/// When a run cannot be read, the page's address is taken, or the copy cannot be written.
 pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let sweep = match &args.runs[..] {
         [folder] => sweep::results(folder)?,
@@ -51,8 +48,8 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
         let named = Goals::open_beside(&args.blueprint, folders.first().map(PathBuf::as_path))?;
-        let goals = recorded(named.ids(), &first.about);
-        first.about.catalog = named.catalog().clone();
+        let goals = recorded(&named.ids, &first.about);
+        first.about.catalog = named.catalog.clone();
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Err(Failure::NothingWritten(folder.clone())),
             n_files = dashboard::export(Finished { first, others, sweep }, &goals, folder) => n_files?,
@@ -107,7 +104,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let environment = Config::evaluation_environment(&config);
     let stage = weights.is_some().then(|| stage(environment, policy.clone(), newest, Some(paths.clone())));
     let n_env_steps = Some(config.n_env_steps);
-    let catalog = Goals::open_beside(&[], Some(folder))?.catalog().clone();
+    let catalog = Goals::open_beside(&[], Some(folder))?.catalog;
     let blueprints = config.evaluator.selection.blueprints.clone();
     let (preset, origin) = (preset_of(&paths), origin_of(&paths, &config));
     let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin };
@@ -118,9 +115,7 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
 fn configuration(paths: &RunPaths) -> Result<Valid<Config>, Failure> {
     check_run(paths.folder())?;
     let path = paths.config();
-    let text = read(&path)?;
-    let config = merge(&text, &path.display().to_string(), Base::Defaults, &[])?;
-    Ok(config.checked()?)
+    Ok(Config::parse(&read(&path)?, &path.display().to_string())?.checked()?)
 }
 
 /// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.

@@ -11,7 +11,7 @@ use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Kind, Page, Source};
 use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
-use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
+use proto::metrics::{EvalReport, LearnerMetrics};
 use proto::{ActorId, Role, Valid, Weights};
 use runlog::{Evaluation, RunPaths};
 use tokio::sync::{mpsc, watch};
@@ -52,14 +52,14 @@ pub(super) async fn run_actor(
     let shown = tokio::spawn(live::show_acting(metrics, terminal.clone()));
     let act = async |bus: Bus| {
         let _told = AbortOnDropHandle::new(tokio::spawn(tell_of_learner(bus.clone())));
-        actor(setup, bus, metrics_sender, shutdown.clone()).await
+        actor::run(setup, &bus, metrics_sender, shutdown.clone()).await.map(drop).map_err(Failure::from)
     };
     let ended = on_bus(config, &health, &shutdown, act).await;
     finished(shown).await.and(ended)
 }
 
 /// Waits for a task that shows a service's progress; it ends with the service.
-async fn finished<T>(shown: JoinHandle<T>) -> Result<T, Failure> {
+pub(super) async fn finished(shown: JoinHandle<()>) -> Result<(), Failure> {
     shown.await.map_err(|panic| Failure::Service(panic.into()))
 }
 
@@ -181,18 +181,6 @@ async fn tell_of_learner(bus: Bus) -> Result<(), BusError> {
     while there.wait_for(|there| *there).await.is_ok() && there.wait_for(|there| !there).await.is_ok() {
         tracing::warn!(run = bus.run(), "the learner is gone, so no newer weights come until one is there again");
     }
-    Ok(())
-}
-
-/// Runs an actor, which sends its metrics to `metrics_sender` too. Its random draws differ from those of all other actors of the
-/// run.
-pub(super) async fn actor(
-    setup: ActorSetup,
-    bus: Bus,
-    metrics_sender: watch::Sender<Option<ActorMetrics>>,
-    shutdown: CancellationToken,
-) -> Result<(), Failure> {
-    actor::run(setup, &bus, metrics_sender, shutdown).await?;
     Ok(())
 }
 

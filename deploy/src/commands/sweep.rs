@@ -20,7 +20,7 @@ use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::shell;
 use plan::{Plan, Run};
-use pool::{Pool, Stdins};
+use pool::Pool;
 pub(super) use results::Results;
 use results::RunResult;
 
@@ -87,9 +87,6 @@ pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: Cancell
 }
 
 /// The results of the sweep in the folder, with curves; `None` if it is no sweep.
-///
-/// # Errors
-/// When its plan, a result, or the history of a run cannot be read.
 pub(super) fn results(folder: &Path) -> Result<Option<Results>, Failure> {
     crate::run_dir::check_exists(folder)?;
     if !folder.join(plan::FILE).exists() {
@@ -116,15 +113,12 @@ async fn train(
     terminal: &Terminal,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<()> {
-    let stdins = std::sync::Arc::new(Stdins::new());
-    let (plan, terminal, its_stdins, its_shutdown) = (plan.clone(), terminal.clone(), stdins.clone(), shutdown.clone());
-    let mut training = tokio::task::spawn_blocking(move || {
-        let pool = Pool { plan: &plan, terminal: &terminal, shutdown: its_shutdown, stdins: &its_stdins };
-        pool.train(&runs, n_jobs)
-    });
+    let (stdin, open) = std::io::pipe()?;
+    let pool = Pool { plan: plan.clone(), terminal: terminal.clone(), shutdown: shutdown.clone(), stdin };
+    let mut training = tokio::task::spawn_blocking(move || pool.train(&runs, n_jobs));
     tokio::select! {
         ended = &mut training => return ended?,
-        () = shutdown.cancelled() => stdins.close(),
+        () = shutdown.cancelled() => drop(open),
     }
     training.await?
 }

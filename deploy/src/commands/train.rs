@@ -18,11 +18,11 @@ use proto::{ActorId, Valid, Weights};
 use runlog::RunPaths;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
-use tokio::task::{JoinError, JoinHandle, JoinSet};
+use tokio::task::{JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
 use super::common::{configure, join_bus, json, origin, serve_command};
-use super::goals::{TrainingGoals, tell_choices};
+use super::goals::{Goals, tell_choices};
 use super::in_process::InProcess;
 use super::runtime::on_runtime;
 use super::services;
@@ -55,9 +55,6 @@ pub(super) struct Summary {
 }
 
 /// Runs `train`.
-///
-/// # Errors
-/// When the settings, the goals, or the run to continue cannot be used, and those of [`run`].
 pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failure> {
     let listen = (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
     let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
@@ -75,7 +72,7 @@ pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failu
         )));
     }
     tell_choices(&args.blueprint, &said)?;
-    let goals = TrainingGoals::open(&args.blueprint, origin.config.as_deref())?;
+    let goals = Goals::for_training(&args.blueprint, origin.config.as_deref())?;
     let flags = args.run.overrides().into_iter().chain(goals.settings());
     let flags = flags.chain(given.into_iter().flatten()).collect();
     let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
@@ -97,14 +94,14 @@ pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failu
 pub(super) async fn run(
     settings: &Settings,
     args: &TrainArgs,
-    goals: &TrainingGoals,
+    goals: &Goals,
     origin: Origin,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<Summary, Failure> {
     let start = Instant::now();
     let config = &settings.config;
-    let Prepared { setup, run_dir, page, health } = prepare(settings, args, goals.catalog(), &origin, terminal).await?;
+    let Prepared { setup, run_dir, page, health } = prepare(settings, args, &goals.catalog, &origin, terminal).await?;
     terminal.print(&introduction(settings, &origin, &run_dir));
     let bus = watchable(config.part(|config| &config.bus), run_dir.path());
     let joined = join_bus(&bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
@@ -114,16 +111,19 @@ pub(super) async fn run(
     };
     goals.keep(run_dir.paths())?;
     health.joined(&bus);
-    let (views, channels) = Views::open(&bus, config, args, terminal).await?;
+    let (channels, mut views) = Channels::open(&bus, config, args, terminal).await?;
+    let reports = channels.reports.subscribe();
     let source: Box<dyn Source> = match config.lockstep {
-        true => Box::new(InProcess::new(config, goals.catalog().clone())),
+        true => Box::new(InProcess::new(config, goals.catalog.clone())),
         false => Box::new(Arrivals::default()),
     };
     let options = |metrics| services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
-    let services = Services { config, catalog: goals.catalog(), bus: &bus, folder: run_dir.path(), terminal, shutdown };
+    let services = Services { config, catalog: &goals.catalog, bus: &bus, folder: run_dir.path(), terminal, shutdown };
     let ended = services.run(options, channels, page).await;
     bus.close().await;
-    let evaluation = views.close().await?;
+    while let Some(view) = views.join_next().await {
+        view.map_err(panicked)?;
+    }
     let learner = ended?;
     let is_complete = learner.n_env_steps >= config.n_env_steps;
     terminal.print(&farewell(&run_dir, is_complete));
@@ -133,7 +133,7 @@ pub(super) async fn run(
         is_complete,
         elapsed_s: start.elapsed().as_secs_f64(),
         learner,
-        evaluation: evaluation.map(|report| report.summary.clone()),
+        evaluation: reports.borrow().as_ref().map(|report| report.summary.clone()),
     })
 }
 
@@ -167,13 +167,6 @@ async fn prepare(
     Ok(Prepared { setup, run_dir, page, health })
 }
 
-/// The tasks that print what the services report.
-struct Views {
-    learning: JoinHandle<()>,
-    evaluations: JoinHandle<Option<Arc<EvalReport>>>,
-    progress: JoinHandle<()>,
-}
-
 /// Where the services report to.
 struct Channels {
     metrics: watch::Sender<Option<LearnerMetrics>>,
@@ -183,13 +176,14 @@ struct Channels {
     last: watch::Sender<Option<Arc<Weights>>>,
 }
 
-impl Views {
+impl Channels {
+    /// Opens them, and starts the tasks that print what arrives.
     async fn open(
         bus: &Bus,
         config: &Valid<Config>,
         args: &TrainArgs,
         terminal: &Terminal,
-    ) -> Result<(Self, Channels), Failure> {
+    ) -> Result<(Self, JoinSet<()>), Failure> {
         let actors = bus.alive(Role::Actor).await?;
         let (metrics, updates) = watch::channel(None);
         let (reports, evaluated) = watch::channel(None);
@@ -200,19 +194,11 @@ impl Views {
             async move { live::show_learning(updates, actors, reports, terminal, &config).await }
         };
         let learner_is_done = move || ended.borrow().is_some();
-        let views = Self {
-            learning: tokio::spawn(learning),
-            evaluations: tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose))),
-            progress: tokio::spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done)),
-        };
-        Ok((views, Channels { metrics, reports, progress, last }))
-    }
-
-    /// Waits until all is printed, and returns the last report.
-    async fn close(self) -> Result<Option<Arc<EvalReport>>, Failure> {
-        self.learning.await.map_err(panicked)?;
-        self.progress.await.map_err(panicked)?;
-        self.evaluations.await.map_err(panicked)
+        let mut views = JoinSet::new();
+        views.spawn(learning);
+        views.spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
+        views.spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
+        Ok((Self { metrics, reports, progress, last }, views))
     }
 }
 
@@ -247,7 +233,11 @@ impl Services<'_> {
             let setup = ActorSetup { catalog: self.catalog.clone(), ..services::actor_setup(self.config, id) };
             // The learner's lines and bar count all actors.
             let metrics = watch::channel(None).0;
-            running.spawn(services::actor(setup, self.bus.clone(), metrics, training.clone()));
+            let bus = self.bus.clone();
+            let shutdown = training.clone();
+            running.spawn(
+                async move { actor::run(setup, &bus, metrics, shutdown).await.map(drop).map_err(Failure::from) },
+            );
         }
         let stop = Stop { now: self.shutdown.clone(), last: Some(last_weights.clone()) };
         let setup = EvaluatorSetup {

@@ -16,40 +16,9 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// An unknown preset.
-    #[error("there is no preset `{name}`{} The presets are {}", ended(nearest), known.join(", "))]
-    Preset {
-        /// The name given.
-        name: String,
-        /// The most similar existing name.
-        nearest: Option<String>,
-        /// All existing names.
-        known: Vec<&'static str>,
-    },
-    /// An unknown key.
-    #[error(
-        "{origin}: unknown key `{key}`{}",
-        suggestion_or(nearest, "; `lodestone train --print-config` lists all keys")
-    )]
-    UnknownKey {
-        /// File and line, variable, or flag.
-        origin: String,
-        /// The key given.
-        key: String,
-        /// The most similar existing key.
-        nearest: Option<String>,
-    },
-    /// An environment variable that begins like ours and means nothing.
-    #[error(
-        "{name}: there is no such variable{}",
-        suggestion_or(nearest, "; settings have two underscores between section and key: LODESTONE_LEARNER__GAMMA")
-    )]
-    UnknownVariable {
-        /// The name given.
-        name: String,
-        /// The most similar existing name.
-        nearest: Option<String>,
-    },
-    /// Text that is not TOML, or a value of the wrong type.
+    #[error("there is no preset {0}")]
+    Preset(String),
+    /// Text that is not TOML, an unknown key or variable, or a value of the wrong type.
     #[error("{origin}: {message}")]
     Value {
         /// File and line, variable, or flag.
@@ -73,19 +42,9 @@ impl From<InvalidSetting> for ConfigError {
     }
 }
 
-/// The suggestion appended to a message, or nothing.
-fn suggestion(nearest: &Option<String>) -> String {
-    nearest.as_ref().map(|name| format!("; did you mean `{name}`?")).unwrap_or_default()
-}
-
 /// The suggestion appended to a message, or else `otherwise`.
 pub(crate) fn suggestion_or(nearest: &Option<String>, otherwise: &str) -> String {
-    if nearest.is_some() { suggestion(nearest) } else { otherwise.to_owned() }
-}
-
-/// The suggestion before a message continues, or else a period.
-fn ended(nearest: &Option<String>) -> String {
-    suggestion_or(nearest, ".")
+    nearest.as_ref().map_or_else(|| otherwise.to_owned(), |name| format!("; did you mean `{name}`?"))
 }
 
 /// The known name most similar to `name`, if any is similar enough.
@@ -114,9 +73,9 @@ impl ConfigError {
             return Self::Value { origin, message: message.replace("expected f64", "expected a number") };
         }
         let mut names = message.split('`').skip(1).step_by(2);
-        let key = names.next().unwrap_or_default().to_owned();
-        let nearest = nearest(&key, names);
-        Self::UnknownKey { origin, key, nearest }
+        let key = names.next().unwrap_or_default();
+        let suggestion = suggestion_or(&nearest(key, names), "; `lodestone train --print-config` lists all keys");
+        Self::Value { origin, message: format!("unknown key `{key}`{suggestion}") }
     }
 }
 

@@ -274,7 +274,7 @@ fn parse_value(text: &str) -> toml::Value {
 }
 
 /// Whether a float is a whole number, within the range where floats represent every whole number.
-fn is_whole(number: f64) -> bool {
+pub(crate) fn is_whole(number: f64) -> bool {
     const MAX_EXACT: f64 = 9e15;
     number.fract() == 0.0 && number.abs() <= MAX_EXACT
 }

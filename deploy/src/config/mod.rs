@@ -25,6 +25,7 @@ pub use ablations::{ABLATIONS, Ablation};
 pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
 pub use keys::{Key, explain, keys, schema};
+pub(crate) use layers::is_whole;
 pub use layers::{Base, Override, merge};
 pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
 pub use variables::check_variables;
@@ -33,9 +34,6 @@ pub use variables::check_variables;
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Reads a configuration file.
-///
-/// # Errors
-/// Names the file that cannot be read or is too large.
 pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
     outside::read_text(path, MAX_FILE_BYTES).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
 }

@@ -1,6 +1,6 @@
 //! The presets, embedded so that the binary needs no other files.
 
-use super::{ConfigError, error::nearest};
+use super::{ConfigError, nearest, suggestion_or};
 
 /// A named configuration file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,10 +41,10 @@ impl Preset {
     /// # Errors
     /// Names the existing presets.
     pub fn find(name: &str) -> Result<&'static Self, ConfigError> {
-        PRESETS.iter().find(|preset| preset.name == name).ok_or_else(|| ConfigError::Preset {
-            name: name.to_owned(),
-            nearest: nearest(name, PRESETS.iter().map(|preset| preset.name)),
-            known: PRESETS.iter().map(|preset| preset.name).collect(),
+        PRESETS.iter().find(|preset| preset.name == name).ok_or_else(|| {
+            let known: Vec<&str> = PRESETS.iter().map(|preset| preset.name).collect();
+            let suggestion = suggestion_or(&nearest(name, known.iter().copied()), ".");
+            ConfigError::Preset(format!("`{name}`{suggestion} The presets are {}", known.join(", ")))
         })
     }
 }

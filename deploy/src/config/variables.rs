@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::layers::{PREFIX, SETTINGS};
-use super::{ConfigError, keys, nearest};
+use super::{ConfigError, keys, nearest, suggestion_or};
 
 /// Variables of tests, of Compose, and of the scripts for Slurm, which this program does not read.
 const OTHERS: [&str; 18] = [
@@ -47,11 +47,10 @@ pub fn check_variables<'n>(
     let settings =
         keys().into_iter().filter(|key| !key.is_section()).map(|key| key.name.to_uppercase().replace('.', "__"));
     let candidates: BTreeSet<String> = known.into_iter().chain(settings).collect();
-    let nearest = nearest(unknown, candidates.iter().map(String::as_str));
-    Err(ConfigError::UnknownVariable {
-        name: format!("{PREFIX}{unknown}"),
-        nearest: nearest.map(|name| format!("{PREFIX}{name}")),
-    })
+    let meant = nearest(unknown, candidates.iter().map(String::as_str)).map(|name| format!("{PREFIX}{name}"));
+    let rule = "; settings have two underscores between section and key: LODESTONE_LEARNER__GAMMA";
+    let message = format!("there is no such variable{}", suggestion_or(&meant, rule));
+    Err(ConfigError::Value { origin: format!("{PREFIX}{unknown}"), message })
 }
 
 /// All known names without a section.

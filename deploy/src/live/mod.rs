@@ -62,7 +62,6 @@ pub async fn show_learning(
         }
         not_saved = learner.not_saved;
     }
-    progress.finish();
 }
 
 /// Prints the progress of this process's actor, at most one line every ten seconds, until it ends.
@@ -88,9 +87,7 @@ pub async fn show_evaluating(
     let mut last_line = Instant::now();
     while progress.changed().await.is_ok() {
         let Some(EvaluationProgress { n_ended, n_planned }) = *progress.borrow_and_update() else {
-            if let Some((bar, _)) = shown.take() {
-                bar.finish();
-            }
+            shown = None;
             continue;
         };
         let (bar, begun) = shown.get_or_insert_with(|| {
@@ -105,20 +102,12 @@ pub async fn show_evaluating(
             terminal.print(&format!("evaluating: {n_ended} of {n_planned} episodes  {left}"));
         }
     }
-    if let Some((bar, _)) = shown {
-        bar.finish();
-    }
 }
 
-/// Prints a table of each report until the evaluator ends; returns the last report.
-pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) -> Option<Arc<EvalReport>> {
-    let mut last = None;
+/// Prints a table of each report until the evaluator ends.
+pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) {
     while reports.changed().await.is_ok() {
-        let report = reports.borrow_and_update().clone();
-        if let Some(report) = report {
-            terminal.print(&format!("\n{}", render(&report, detail)));
-            last = Some(report);
-        }
+        let Some(report) = reports.borrow_and_update().clone() else { continue };
+        terminal.print(&format!("\n{}", render(&report, detail)));
     }
-    last
 }

@@ -8,14 +8,11 @@ use blueprints::generator::{Request, generate_many};
 use blueprints::{Blueprint, Catalog};
 
 use crate::cli::GenerateArgs;
-use crate::commands::files::write_new;
+use crate::commands::files::{exists, write_new};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
 /// Writes one file per blueprint and prints a line for each; never replaces a file.
-///
-/// # Errors
-/// When there are too few structures of that style and size, a file exists, or a file cannot be written.
 pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failure> {
     let known: BTreeSet<u64> = Catalog::builtin().iter().map(Blueprint::canonical_hash).collect();
     let made = generate_many(args.style, args.seed, usize::from(args.size), usize::from(args.count), &known)?;
@@ -23,10 +20,10 @@ pub(super) fn run(args: &GenerateArgs, terminal: &Terminal) -> Result<(), Failur
     // Check all paths before writing the first file, so that a refusal leaves the folder unchanged.
     let paths: Vec<PathBuf> = made.iter().map(path).collect();
     if let Some(taken) = paths.iter().find(|path| path.exists()) {
-        return Err(Failure::Exists(taken.clone()));
+        return Err(exists(taken));
     }
-    let failed = |error| Failure::BlueprintFile { path: args.out.clone(), error };
-    fs::create_dir_all(&args.out).map_err(failed)?;
+    fs::create_dir_all(&args.out)
+        .map_err(|error| Failure::Input(format!("cannot write {}: {error}", args.out.display())))?;
     for (blueprint, path) in made.iter().zip(&paths) {
         let request = Request::from_id(blueprint.id()).expect("the id of a generated blueprint names its request");
         write_new(path, &blueprint.to_toml(&request.provenance()))?;

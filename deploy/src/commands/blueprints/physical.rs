@@ -7,9 +7,6 @@ use proto::Valid;
 use crate::exit::Failure;
 
 /// Adds the physical checks to a report; they are skipped if another check failed.
-///
-/// # Errors
-/// When the world has no room for the blocks.
 pub(super) fn check(report: &mut Report) -> Result<(), Failure> {
     let environment = Valid::default();
     let [settles, expert] = match &report.blueprint {

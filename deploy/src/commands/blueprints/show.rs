@@ -21,9 +21,6 @@ const CARD_COLORS: usize = 256;
 const SHEET_COLORS: usize = 96;
 
 /// Runs the subcommand. Draws everything before it writes the first file.
-///
-/// # Errors
-/// When the catalog cannot be read, an id is not in it, or a file cannot be written.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
     // With --path, ids refer to its blueprints.
@@ -33,7 +30,7 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let selected = if named.is_empty() {
         select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
     } else {
-        goals.blueprints()?
+        goals.blueprints().into_iter().map(Cow::Borrowed).collect()
     };
     let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();
@@ -65,7 +62,7 @@ fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Bluep
             None => catalog.iter().map(Cow::Borrowed).collect(),
         };
         return match (shown.is_empty(), args.split) {
-            (true, Some(split)) => Err(Failure::EmptySplit(split)),
+            (true, Some(split)) => Err(Failure::Input(format!("the catalog has no blueprints of the split {split}"))),
             _ => Ok(shown),
         };
     }

@@ -11,33 +11,30 @@ use tokio_util::sync::CancellationToken;
 
 use super::recordings::{Goals, Named};
 use super::{make_all, policy};
-use crate::cli::{LiveArgs, RenderArgs};
+use crate::cli::RenderArgs;
 use crate::commands::common::join_bus;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
 /// Waits for complete episodes and makes videos of them. After `shutdown`, makes videos of those received so far.
-///
-/// # Errors
-/// When the bus cannot be joined, an episode does not arrive in time, its goal is unknown, or a video cannot be made.
 pub(in crate::commands) async fn run(
     args: &RenderArgs,
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let (goals, policy) = (Goals::new(args)?, policy(args)?);
-    let (run, connect) = (args.live.run.clone(), args.live.connect.clone());
-    let security = SecurityConfig { keys: args.live.keys.folder("evaluator") };
+    let (run, connect) = (args.run.clone(), args.connect.clone());
+    let security = SecurityConfig { keys: args.keys.folder("evaluator") };
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     let config = Valid::new(config).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
-    let patience = Duration::from_secs(args.live.timeout);
+    let patience = Duration::from_secs(args.timeout);
     let Ok(opened) = timeout(patience, join_bus(&config, &shutdown)).await else {
-        let (endpoints, seconds) = (config.connect.join(", "), args.live.timeout);
+        let (endpoints, seconds) = (config.connect.join(", "), args.timeout);
         return Err(Failure::Bus(anyhow!("no router answers at {endpoints} after {seconds} s")));
     };
     let Some(bus) = opened? else { return Ok(()) };
     // Episodes received before a failure are still shown.
-    let (recorded, ended) = record(&bus, &args.live, &goals, &config, patience, &shutdown).await;
+    let (recorded, ended) = record(&bus, args, &goals, &config, patience, &shutdown).await;
     bus.close().await;
     let episodes: Vec<Named> =
         recorded.iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
@@ -65,7 +62,7 @@ async fn next_episode(
 /// The episodes received, and why there are no more.
 async fn record(
     bus: &Bus,
-    args: &LiveArgs,
+    args: &RenderArgs,
     goals: &Goals,
     config: &Valid<BusConfig>,
     patience: Duration,
@@ -98,7 +95,7 @@ async fn record(
 }
 
 /// Explains why no episode arrived.
-async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &Valid<BusConfig>) -> Failure {
+async fn silent(args: &RenderArgs, collector: &Collector, bus: &Bus, config: &Valid<BusConfig>) -> Failure {
     let who = args.actor.as_ref().map_or_else(|| "any actor".to_owned(), |actor| format!("the actor {actor}"));
     let (seconds, run, counts) = (args.timeout, &args.run, bus.counts());
     let n_missed = counts.viewed_dropped_total + counts.viewed_invalid_total;
@@ -115,7 +112,7 @@ async fn silent(args: &LiveArgs, collector: &Collector, bus: &Bus, config: &Vali
 }
 
 fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Failure> {
-    let refused = |reason| Failure::Recording { files: "a live episode".to_owned(), reason };
+    let refused = |reason: String| Failure::Input(format!("a live episode: {reason}"));
     let first = segments.first().ok_or_else(|| refused("is empty".to_owned()))?;
     let goal = goals.find(&first.task.blueprint).map_err(refused)?;
     let episode = Episode::new(segments, &goal).map_err(|error| refused(error.to_string()))?;

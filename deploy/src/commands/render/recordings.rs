@@ -39,8 +39,7 @@ impl Goals {
             return Ok(Self { catalog: Arc::new(Catalog::load(path)?), chosen: Vec::new() });
         }
         let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
-        let chosen = goals.ids().to_vec();
-        Ok(Self { catalog: goals.catalog().clone(), chosen })
+        Ok(Self { catalog: goals.catalog, chosen: goals.ids })
     }
 
     /// Whether episodes with this goal are shown.
@@ -130,9 +129,8 @@ fn of_run(run: &Path) -> Result<Vec<(OsString, PathBuf)>, Failure> {
     if !replays.is_dir() {
         return Err(nothing("no folder of a run with recordings"));
     }
-    let refused = |error: io::Error| Failure::Recording {
-        files: replays.display().to_string(),
-        reason: format!("cannot be read: {}", outside::reason(&error)),
+    let refused = |error: io::Error| {
+        Failure::Input(format!("{}: cannot be read: {}", replays.display(), outside::reason(&error)))
     };
     let mut found = Vec::new();
     for folder in sorted(&replays).map_err(refused)?.into_iter().filter(|path| path.is_dir()) {
@@ -160,7 +158,7 @@ impl Recording {
     fn episode(self, goals: &Goals) -> Result<Named, Failure> {
         let refused = |reason: String| {
             let files: Vec<String> = self.files.iter().map(|path| path.display().to_string()).collect();
-            Failure::Recording { files: files.join(", "), reason }
+            Failure::Input(format!("{}: {reason}", files.join(", ")))
         };
         let goal = goals.find(&self.segments[0].task.blueprint).map_err(refused)?;
         let episode = Episode::new(&self.segments, &goal).map_err(|error| refused(error.to_string()))?;
@@ -169,7 +167,7 @@ impl Recording {
 }
 
 fn read(path: &Path) -> Result<Trajectory, Failure> {
-    let refused = |reason: String| Failure::Recording { files: path.display().to_string(), reason };
+    let refused = |reason: String| Failure::Input(format!("{}: {reason}", path.display()));
     let read = outside::read(path, MAX_RECORDING_BYTES as u64);
     let bytes = read.map_err(|error| refused(format!("cannot be read: {error}")))?;
     decode_recording(&bytes).map_err(|error| refused(explained(&bytes, &error)))

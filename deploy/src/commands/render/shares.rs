@@ -17,9 +17,6 @@ const FILE: &str = "attention.csv";
 
 /// Writes the mean attention shares of each head over all scenes, and those of uniform attention, to a file and to the
 /// terminal.
-///
-/// # Errors
-/// When the network has no attention, an episode has a different number of grippers, or the file cannot be written.
 pub(super) fn write(
     episodes: &[Named],
     policy: &Policy,
@@ -72,6 +69,5 @@ pub(super) fn attention<'e>(
     name: &OsStr,
     episode: &'e Episode,
 ) -> Result<EpisodeAttention<'e>, Failure> {
-    EpisodeAttention::new(policy, episode)
-        .map_err(|error| Failure::Recording { files: name.display().to_string(), reason: error.to_string() })
+    EpisodeAttention::new(policy, episode).map_err(|error| Failure::Input(format!("{}: {error}", name.display())))
 }

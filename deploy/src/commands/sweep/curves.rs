@@ -21,9 +21,6 @@ pub(super) struct Moment {
 type Evaluated = Vec<(u64, Vec<Score>)>;
 
 /// The curve of the runs of a point.
-///
-/// # Errors
-/// When the history of one cannot be read.
 pub(super) fn of<'r>(runs: impl Iterator<Item = &'r Run>) -> Result<Vec<Moment>, HistoryError> {
     let evaluated = |run: &Run| -> Result<Evaluated, HistoryError> {
         let evaluations = History::read(&RunPaths::new(&run.folder).history())?;

@@ -97,9 +97,6 @@ impl Plan {
     }
 
     /// Reads the plan of the sweep in `folder`.
-    ///
-    /// # Errors
-    /// When there is none, or it cannot be read.
     pub(super) fn read(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(FILE);
         crate::run_dir::check_exists(folder)?;
@@ -114,9 +111,6 @@ impl Plan {
     }
 
     /// Writes the plan to `folder`, or checks that it is the one in it.
-    ///
-    /// # Errors
-    /// When the folder holds another sweep, or cannot be written.
     pub(super) fn keep(&self, folder: &Path) -> Result<(), Failure> {
         if folder.join(FILE).exists() {
             return Self::read(folder)?.check_same(self, folder);

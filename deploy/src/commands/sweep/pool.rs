@@ -1,8 +1,8 @@
 //! Trains the runs of a sweep, each in a process of this program.
 
-use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::process::{ChildStdin, Command, Stdio};
+use std::io::PipeReader;
+use std::process::Command;
 
 use anyhow::Context;
 use parking_lot::Mutex;
@@ -15,41 +15,16 @@ use crate::exit::INTERRUPTED;
 use crate::live::Terminal;
 
 /// Trains runs, several at a time.
-pub(super) struct Pool<'s> {
-    pub(super) plan: &'s Plan,
-    pub(super) terminal: &'s Terminal,
+pub(super) struct Pool {
+    pub(super) plan: Plan,
+    pub(super) terminal: Terminal,
     pub(super) shutdown: CancellationToken,
-    pub(super) stdins: &'s Stdins,
+    /// The standard input of all processes. A training saves and ends when its other end is closed, so it also ends with
+    /// this process, however that ends.
+    pub(super) stdin: PipeReader,
 }
 
-/// The standard inputs of the running processes. A training saves and ends when its own is closed, so it also ends with
-/// this process, however that ends.
-pub(super) struct Stdins(Mutex<Option<BTreeMap<usize, ChildStdin>>>);
-
-impl Stdins {
-    pub(super) fn new() -> Self {
-        Self(Mutex::new(Some(BTreeMap::new())))
-    }
-
-    /// Closes all, and those that come later at once.
-    pub(super) fn close(&self) {
-        *self.0.lock() = None;
-    }
-
-    fn hold(&self, index: usize, stdin: ChildStdin) {
-        if let Some(open) = self.0.lock().as_mut() {
-            open.insert(index, stdin);
-        }
-    }
-
-    fn release(&self, index: usize) {
-        if let Some(open) = self.0.lock().as_mut() {
-            open.remove(&index);
-        }
-    }
-}
-
-impl Pool<'_> {
+impl Pool {
     /// Trains the runs with these indices, `n_jobs` at a time, until all have ended or `shutdown`.
     ///
     /// # Errors
@@ -59,10 +34,7 @@ impl Pool<'_> {
         let work = || -> anyhow::Result<()> {
             while !self.shutdown.is_cancelled() {
                 let Some((index, run)) = waiting.lock().next() else { break };
-                self.one(*index, run).inspect_err(|_| {
-                    self.shutdown.cancel();
-                    self.stdins.close();
-                })?;
+                self.one(*index, run).inspect_err(|_| self.shutdown.cancel())?;
             }
             Ok(())
         };
@@ -105,14 +77,10 @@ impl Pool<'_> {
         }
         command.args(["train", "--auto-resume", "--no-web", "--end-with-stdin", "--seed", &run.seed.to_string()]);
         command.arg("--config").arg(config).arg("--run-dir").arg(&run.folder);
-        command.stdin(Stdio::piped()).stdout(output.try_clone()?).stderr(output);
+        command.stdin(self.stdin.try_clone()?).stdout(output.try_clone()?).stderr(output);
         let mut child = command.spawn().context("starting a training")?;
         say(&format!("training in {}", run.folder.display()));
-        if let Some(stdin) = child.stdin.take() {
-            self.stdins.hold(index, stdin);
-        }
         let status = child.wait().context("waiting for a training")?;
-        self.stdins.release(index);
         let is_interrupted = self.shutdown.is_cancelled() || status.code() == Some(INTERRUPTED.into());
         if !status.success() && !is_interrupted {
             say(&format!("failed ({status}); see {}", log.display()));

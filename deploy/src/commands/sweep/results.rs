@@ -73,9 +73,6 @@ pub(in crate::commands) struct Results {
 
 impl RunResult {
     /// Reads how a run ended; `None` if it has not.
-    ///
-    /// # Errors
-    /// When the file cannot be read.
     pub(super) fn read(run: &Run) -> Result<Option<Self>, Failure> {
         let path = run.result();
         if !path.exists() {
@@ -87,18 +84,12 @@ impl RunResult {
     }
 
     /// Writes how a run ended.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub(super) fn keep(&self, run: &Run) -> anyhow::Result<()> {
         let path = run.result();
         replace(&path, &serde_json::to_vec_pretty(self)?, PLAIN).with_context(|| format!("writing {}", path.display()))
     }
 
     /// The scores of a run's last evaluation; `None` if it does not have all of its steps, or they are not evaluated.
-    ///
-    /// # Errors
-    /// When its history cannot be read.
     pub(super) fn of_run(folder: &Path, n_env_steps: u64) -> anyhow::Result<Option<Self>> {
         let history = RunPaths::new(folder).history();
         let evaluations = if history.exists() { History::read(&history)? } else { Vec::new() };
@@ -109,9 +100,6 @@ impl RunResult {
 
 impl Results {
     /// Collects the results of all runs, without curves.
-    ///
-    /// # Errors
-    /// When a result cannot be read.
     pub(super) fn of(plan: &Plan, folder: &Path) -> Result<Self, Failure> {
         let results = plan.runs(folder).into_iter().map(|run| Ok((RunResult::read(&run)?, run)));
         let results: Vec<(Option<RunResult>, Run)> = results.collect::<Result<_, Failure>>()?;
@@ -137,9 +125,6 @@ impl Results {
     }
 
     /// Adds the curves of the runs that are done.
-    ///
-    /// # Errors
-    /// When the history of one cannot be read.
     pub(super) fn with_curves(mut self) -> Result<Self, Failure> {
         for (i, point) in self.points.iter_mut().enumerate() {
             point.curve = curves::of(self.done.iter().filter(|run| run.point == i))?;
@@ -148,9 +133,6 @@ impl Results {
     }
 
     /// Folder and name of the first `n` runs that are done.
-    ///
-    /// # Errors
-    /// When there is none.
     pub(in crate::commands) fn done(&self, n: usize) -> Result<(Vec<PathBuf>, Vec<String>), Failure> {
         let named = |run: &Run| (run.folder.clone(), format!("{}, seed {}", self.points[run.point].name, run.seed));
         if self.done.is_empty() {
