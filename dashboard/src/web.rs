@@ -152,7 +152,7 @@ impl Page {
         let _ended_with_this = shutdown.clone().drop_guard();
         let observer = Observer::new(source.policy, source.weights);
         let replays = Arc::new(Replays::new(observer, source.about.catalog.clone()));
-        let videos = Videos::new(source.run);
+        let videos = Videos(source.run);
         let shown =
             Shown { about: source.about, board: board.clone(), replays: replays.clone(), videos, stage: source.stage };
         let mut tasks = JoinSet::new();
@@ -244,7 +244,7 @@ impl FinishedRun {
         self.learner.iter().for_each(|learner| board.learned(learner));
         let (_, weights) = watch::channel(self.weights);
         let replays = Arc::new(Replays::new(Observer::new(self.policy, weights), self.about.catalog.clone()));
-        Shown { about: self.about, board, replays, videos: Videos::new(Some(self.run)), stage: self.stage }
+        Shown { about: self.about, board, replays, videos: Videos(Some(self.run)), stage: self.stage }
     }
 }
 

@@ -19,7 +19,7 @@ use crate::follow::News;
 use crate::run_view::proposals::CHARTED;
 use crate::run_view::{Link, Roster, RunView, SessionState};
 use runlog::Evaluation;
-use runlog::overview::{Evaluations, EvaluationsView, SCHEMA_VERSION};
+use runlog::overview::{Evaluations, Overview};
 
 /// Maximum number of remembered metrics keys; enough for the whole catalog and hundreds of actors.
 const MAX_KEYS: usize = 1024;
@@ -84,9 +84,8 @@ struct Point(u64, Value);
 /// The response to `/api/history`.
 #[derive(Debug, Serialize)]
 struct HistoryView<'b> {
-    schema_version: u32,
     #[serde(flatten)]
-    evaluations: EvaluationsView<'b>,
+    evaluations: Overview<'b>,
     learner: Vec<&'b Value>,
 }
 
@@ -184,11 +183,7 @@ impl Board {
     /// Returns the response to `/api/history`.
     pub(super) fn history(&self) -> serde_json::Result<Vec<u8>> {
         let state = self.state();
-        serde_json::to_vec(&HistoryView {
-            schema_version: SCHEMA_VERSION,
-            evaluations: state.evaluations.view(),
-            learner: state.points.all(),
-        })
+        serde_json::to_vec(&HistoryView { evaluations: state.evaluations.overview(), learner: state.points.all() })
     }
 }
 
