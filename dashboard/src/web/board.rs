@@ -123,7 +123,7 @@ impl Board {
         let state = &mut *self.state();
         if state.run.take(&sample, now)
             && sample.suffix == METRICS_LEARNER
-            && let Some(learner) = state.run.learner()
+            && let Some(learner) = &state.run.learner
         {
             state.points.push(&learner.value);
         }
@@ -194,8 +194,8 @@ impl State {
 
     /// Returns the visible processes that are alive; none while the router is gone.
     pub(super) fn roster(&self) -> Roster {
-        match self.run.link().0 {
-            Link::Connected => self.run.roster().clone(),
+        match self.run.link {
+            Link::Connected => self.run.roster.clone(),
             Link::Joining | Link::Lost => Roster::default(),
         }
     }
@@ -203,8 +203,8 @@ impl State {
     /// Returns the newest metrics of the visible actors that are alive. Unlike the terminal, the page omits lost
     /// actors.
     pub(super) fn actors(&self) -> impl Iterator<Item = (&ActorId, &ActorMetrics)> {
-        let is_connected = self.run.link().0 == Link::Connected;
-        let alive = self.run.actors().iter().filter(move |(_, actor)| is_connected && actor.is_alive);
+        let is_connected = self.run.link == Link::Connected;
+        let alive = self.run.actors.iter().filter(move |(_, actor)| is_connected && actor.is_alive);
         alive.filter_map(|(id, actor)| Some((id, &actor.metrics.as_ref()?.value)))
     }
 }

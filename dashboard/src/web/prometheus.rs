@@ -10,7 +10,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::metrics::{ProposalMetrics, VideoCounts};
+use proto::metrics::{LearnerMetrics, ProposalMetrics, VideoCounts};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
@@ -128,14 +128,11 @@ fn success(page: &mut Scrape, state: &State) {
 }
 
 fn learner(page: &mut Scrape, state: &State) {
-    let learner = state.run.learner().map(|heard| &heard.value);
-    let steps = learner.map(|learner| learner.n_env_steps);
-    page.counter("learner_env_steps", "Environment steps consumed by the learner", steps);
-    let updates = learner.map(|learner| learner.n_updates);
-    page.counter("learner_updates", "PPO updates", updates);
-    let episodes = learner.map(|learner| learner.n_episodes);
-    page.counter("learner_episodes", "Training episodes whose end was seen", episodes);
-    let mut gauge = |name, help, value: fn(&proto::metrics::LearnerMetrics) -> f64| {
+    let learner = state.run.learner.as_ref().map(|heard| &heard.value);
+    page.counter("learner_env_steps", "Environment steps consumed by the learner", learner.map(|l| l.n_env_steps));
+    page.counter("learner_updates", "PPO updates", learner.map(|l| l.n_updates));
+    page.counter("learner_episodes", "Training episodes whose end was seen", learner.map(|l| l.n_episodes));
+    let mut gauge = |name, help, value: fn(&LearnerMetrics) -> f64| {
         page.gauge(name, help, learner.map(value));
     };
     gauge("learner_weights_version", "Version of the newest weights", |l| l.weights_version.0 as f64);
@@ -206,7 +203,7 @@ fn roster(page: &mut Scrape, state: &State) {
 }
 
 fn dropped_by_learner(page: &mut Scrape, state: &State) {
-    let learner = state.run.learner().map(|heard| &heard.value);
+    let learner = state.run.learner.as_ref().map(|heard| &heard.value);
     let of_bus = learner.into_iter().flat_map(|learner| by_reason(&learner.bus));
     page.counters("learner_bus_dropped", "What the learner's session dropped or refused, by reason", of_bus);
     let reasons = learner.into_iter().flat_map(|learner| {
@@ -243,7 +240,7 @@ fn dropped_by_learner(page: &mut Scrape, state: &State) {
 }
 
 fn dropped_by_evaluator(page: &mut Scrape, state: &State) {
-    let evaluation = state.run.evaluation().map(|heard| &heard.value);
+    let evaluation = state.run.evaluation.as_ref().map(|heard| &heard.value);
     let of_bus = evaluation.into_iter().flat_map(|evaluation| by_reason(&evaluation.bus));
     page.counters("evaluator_bus_dropped", "What the evaluator's session dropped or refused, by reason", of_bus);
     if let Some(videos) = evaluation.and_then(|evaluation| evaluation.videos) {
@@ -276,9 +273,9 @@ fn dropped_by_page(page: &mut Scrape, state: &State) {
     ];
     let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
     page.counters("page_dropped", "What the page itself dropped or refused, by reason", reasons);
-    let unread = by_reason(&state.run.unread());
+    let unread = by_reason(&state.run.unread);
     page.counters("page_metrics_unread", "Metrics that came and are not among these numbers, by reason", unread);
-    let of_bus = by_reason(&state.run.bus());
+    let of_bus = by_reason(&state.run.bus);
     page.counters("page_bus_dropped", "What the session of the page's process dropped or refused, by reason", of_bus);
     page.gauge("page_viewers", "Browsers that listen", Some(state.viewers.len() as f64));
 }
