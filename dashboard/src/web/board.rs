@@ -259,6 +259,10 @@ mod tests {
     use super::*;
     use crate::samples;
 
+    fn learned(board: &Board) -> Value {
+        serde_json::from_slice::<Value>(&board.history().unwrap()).unwrap()["learner"].take()
+    }
+
     #[test]
     fn history_counts_the_time_before_a_resume() {
         let board = Board::default();
@@ -267,8 +271,7 @@ mod tests {
         learner.value["n_env_steps"] = 4_000_000.into();
         learner.value["run_elapsed_s"] = 5000.into();
         board.receive(News::Metrics(vec![learner]), Duration::ZERO);
-        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
-        let points = &history["learner"];
+        let points = learned(&board);
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
     }
 
@@ -276,8 +279,7 @@ mod tests {
     fn history_has_the_draws_of_the_mixture_head() {
         let board = Board::default();
         board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
-        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
-        let point = &history["learner"][0];
+        let point = &learned(&board)[0];
         for (name, value) in [("share_hold", 0.2), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
             assert_eq!(point[name], json!(value), "{point}");
         }
@@ -293,8 +295,8 @@ mod tests {
             learner.value["n_env_steps"] = (100 * update).into();
             board.receive(News::Metrics(vec![learner.clone()]), Duration::ZERO);
         }
-        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
-        let points = history["learner"].as_array().unwrap();
+        let points = learned(&board);
+        let points = points.as_array().unwrap();
         assert!(points.len() <= MAX_POINTS + 1);
         assert!(points.is_sorted_by_key(|point| point["n_env_steps"].as_u64()));
         assert_eq!(points.last().unwrap()["n_env_steps"], json!(100 * n_updates));
