@@ -24,12 +24,10 @@ mod videos;
 
 use std::borrow::Cow;
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use blueprints::BlueprintId;
 use bus::Bus;
 use policy::PolicyConfig;
 use proto::metrics::LearnerMetrics;
@@ -46,6 +44,7 @@ pub use about::{About, Farewell, Kind};
 use attention::Observer;
 use board::Board;
 use events::Places;
+pub use export::export;
 use replay::Replays;
 use routes::Shown;
 use runlog::{Evaluation, RunPaths};
@@ -218,16 +217,6 @@ impl Page {
         closing.cancel();
         server.await.context("a task of the page panicked")
     }
-}
-
-/// Writes the page of finished runs to `folder`, which must not exist yet, for any web server to serve. If the run has
-/// weights, the copy includes an episode for each of `goals` by the policy and by the expert. Returns the number of
-/// files.
-///
-/// # Errors
-/// Returns an error if the folder cannot be created or written.
-pub async fn export(finished: Finished, goals: &[BlueprintId], folder: &Path) -> anyhow::Result<usize> {
-    export::export(finished.into_shown(), goals, folder).await
 }
 
 impl Finished {
