@@ -261,8 +261,8 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
 fn miniature_stays_small_and_has_every_second_step() {
     let episode = episode();
     let small = miniature(&episode).unwrap().unwrap();
-    assert!(small.gif.len() <= MAX_MINIATURE_BYTES && small.gif.starts_with(b"GIF89a"));
-    let mut decoder = ::gif::DecodeOptions::new().read_info(small.gif.as_slice()).unwrap();
+    assert!(small.len() <= MAX_MINIATURE_BYTES && small.starts_with(b"GIF89a"));
+    let mut decoder = ::gif::DecodeOptions::new().read_info(small.as_slice()).unwrap();
     assert_eq!([decoder.width(), decoder.height()].map(usize::from), MINIATURE_PX);
     let mut n_frames = 0;
     while decoder.read_next_frame().unwrap().is_some() {
