@@ -32,18 +32,29 @@ pub(crate) const MAX_BLUEPRINTS: usize = 10_000;
 /// State of a run, built from its messages. Reads no clock: callers pass times, measured from the start of the watch.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct RunView {
-    link: Link,
-    link_since: Duration,
-    learner: Option<Newest<LearnerMetrics>>,
-    evaluation: Option<Newest<EvalSummary>>,
+    /// The connection to the bus.
+    pub(crate) link: Link,
+    /// Since when the connection is in this state.
+    pub(crate) link_since: Duration,
+    /// The learner's newest metrics.
+    pub(crate) learner: Option<Newest<LearnerMetrics>>,
+    /// The newest evaluation.
+    pub(crate) evaluation: Option<Newest<EvalSummary>>,
     blueprints: BTreeMap<BlueprintId, EvalBlueprint>,
-    actors: BTreeMap<ActorId, Actor>,
-    roster: Roster,
-    unread: Unread,
-    bus: BusCounts,
-    trends: Trends,
-    sizes: Sizes,
-    others: BTreeSet<String>,
+    /// All actors seen so far.
+    pub(crate) actors: BTreeMap<ActorId, Actor>,
+    /// The processes that are alive; while the connection is lost, those that were alive before.
+    pub(crate) roster: Roster,
+    /// Counts of received metrics that are not shown.
+    pub(crate) unread: Unread,
+    /// Counts of messages dropped by the watch's own session.
+    pub(crate) bus: BusCounts,
+    /// Trends of the metrics since the watch began.
+    pub(crate) trends: Trends,
+    /// Success of the newest training episodes by size.
+    pub(crate) sizes: Sizes,
+    /// The other runs on the router, as of the last lookup.
+    pub(crate) others: BTreeSet<String>,
 }
 
 /// State of the connection to the bus.
@@ -61,7 +72,6 @@ pub(crate) enum Link {
 /// A value and its time of arrival.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Newest<T> {
-    /// The value.
     pub(crate) value: T,
     /// Time of arrival since the watch began.
     pub(crate) at: Duration,
@@ -92,11 +102,8 @@ pub(crate) struct Unread {
 /// Processes that are alive, by the names of their liveliness tokens.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct Roster {
-    /// Names of the actors.
     pub(crate) actors: BTreeSet<String>,
-    /// Names of the learners.
     pub(crate) learners: BTreeSet<String>,
-    /// Names of the evaluators.
     pub(crate) evaluators: BTreeSet<String>,
 }
 
@@ -174,21 +181,6 @@ impl RunView {
         has_changed
     }
 
-    /// Returns the state of the connection to the bus, and since when.
-    pub(crate) fn link(&self) -> (Link, Duration) {
-        (self.link, self.link_since)
-    }
-
-    /// Returns the learner's newest metrics.
-    pub(crate) fn learner(&self) -> Option<&Newest<LearnerMetrics>> {
-        self.learner.as_ref()
-    }
-
-    /// Returns the newest evaluation.
-    pub(crate) fn evaluation(&self) -> Option<&Newest<EvalSummary>> {
-        self.evaluation.as_ref()
-    }
-
     /// Returns the newest result of each blueprint for the weights of the newest evaluation. Before the first
     /// evaluation, for the newest weights that any blueprint was evaluated with.
     pub(crate) fn evaluated_blueprints(&self) -> Vec<&EvalBlueprint> {
@@ -196,46 +188,6 @@ impl RunView {
         let version: Option<WeightsVersion> =
             self.evaluation.as_ref().map(|summary| summary.value.weights_version).or_else(newest);
         self.blueprints.values().filter(|blueprint| Some(blueprint.weights_version) == version).collect()
-    }
-
-    /// Returns all actors seen so far, by name.
-    pub(crate) fn actors(&self) -> &BTreeMap<ActorId, Actor> {
-        &self.actors
-    }
-
-    /// Returns the processes that are alive; while the connection is lost, those that were alive before.
-    pub(crate) fn roster(&self) -> &Roster {
-        &self.roster
-    }
-
-    /// Returns the counts of received metrics that are not shown.
-    pub(crate) fn unread(&self) -> Unread {
-        self.unread
-    }
-
-    /// Returns the counts of messages dropped by the watch's own session.
-    pub(crate) fn bus(&self) -> BusCounts {
-        self.bus
-    }
-
-    /// Returns the trends of the metrics since the watch began.
-    pub(crate) fn trends(&self) -> &Trends {
-        &self.trends
-    }
-
-    /// Returns the success of the newest training episodes by size.
-    pub(crate) fn sizes(&self) -> &Sizes {
-        &self.sizes
-    }
-
-    /// Sets the names of the other runs on the router.
-    pub(crate) fn set_others(&mut self, others: BTreeSet<String>) {
-        self.others = others;
-    }
-
-    /// Returns the other runs on the router, as of the last lookup.
-    pub(crate) fn others(&self) -> &BTreeSet<String> {
-        &self.others
     }
 
     /// Returns whether no process is alive and no metrics have arrived.
@@ -336,8 +288,7 @@ pub fn waits(not_saved: &NotSaved) -> String {
     let NotSaved { since_unix_ms, reason } = not_saved;
     let since = OffsetDateTime::UNIX_EPOCH + Duration::from_millis(*since_unix_ms);
     let (date, hour, minute) = (since.date(), since.hour(), since.minute());
-    let (year, month, day) = (date.year(), u8::from(date.month()), date.day());
-    format!("training waits: not saved since {year:04}-{month:02}-{day:02} {hour:02}:{minute:02} UTC: {reason}")
+    format!("training waits: not saved since {date} {hour:02}:{minute:02} UTC: {reason}")
 }
 
 /// Stores `value` unless it equals the current value, which then keeps its time. Returns whether the value changed.

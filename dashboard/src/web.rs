@@ -24,12 +24,10 @@ mod videos;
 
 use std::borrow::Cow;
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use blueprints::BlueprintId;
 use bus::Bus;
 use policy::PolicyConfig;
 use proto::metrics::LearnerMetrics;
@@ -46,6 +44,7 @@ pub use about::{About, Farewell, Kind};
 use attention::Observer;
 use board::Board;
 use events::Places;
+pub use export::export;
 use replay::Replays;
 use routes::Shown;
 use runlog::{Evaluation, RunPaths};
@@ -152,7 +151,7 @@ impl Page {
         let _ended_with_this = shutdown.clone().drop_guard();
         let observer = Observer::new(source.policy, source.weights);
         let replays = Arc::new(Replays::new(observer, source.about.catalog.clone()));
-        let videos = Videos::new(source.run);
+        let videos = Videos(source.run);
         let shown =
             Shown { about: source.about, board: board.clone(), replays: replays.clone(), videos, stage: source.stage };
         let mut tasks = JoinSet::new();
@@ -220,16 +219,6 @@ impl Page {
     }
 }
 
-/// Writes the page of finished runs to `folder`, which must not exist yet, for any web server to serve. If the run has
-/// weights, the copy includes an episode for each of `goals` by the policy and by the expert. Returns the number of
-/// files.
-///
-/// # Errors
-/// Returns an error if the folder cannot be created or written.
-pub async fn export(finished: Finished, goals: &[BlueprintId], folder: &Path) -> anyhow::Result<usize> {
-    export::export(finished.into_shown(), goals, folder).await
-}
-
 impl Finished {
     fn into_shown(self) -> (Shown, Vec<Shown>, Option<Value>) {
         let others = self.others.into_iter().map(FinishedRun::into_shown).collect();
@@ -244,7 +233,7 @@ impl FinishedRun {
         self.learner.iter().for_each(|learner| board.learned(learner));
         let (_, weights) = watch::channel(self.weights);
         let replays = Arc::new(Replays::new(Observer::new(self.policy, weights), self.about.catalog.clone()));
-        Shown { about: self.about, board, replays, videos: Videos::new(Some(self.run)), stage: self.stage }
+        Shown { about: self.about, board, replays, videos: Videos(Some(self.run)), stage: self.stage }
     }
 }
 

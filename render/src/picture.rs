@@ -18,15 +18,13 @@ mod tests;
 pub(crate) mod text;
 mod texture;
 
-pub use ::png::EncodingError;
 pub use camera::{Camera, View};
 pub use ground::Ground;
 pub use image::{Image, Rgb, WHITE};
 pub use model::{Block, Finish, GRIPPER_COLORS, TYPE_COLORS, corners, of_blueprint, of_scene};
 pub use painter::Painter;
 pub use png::encode;
-pub use sheet::{MAX_TILES, card, sheet};
-pub use texture::{NEGATIVE_COLOR, POSITIVE_COLOR};
+pub use sheet::{MAX_TILES, card, draw_blueprint, sheet};
 
 pub(crate) use camera::Window;
 pub(crate) use image::mix;

@@ -24,7 +24,7 @@ pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
 pub use frames::{LAST_S, MAX_WIDTH, MIN_WIDTH, Video};
 pub use gif::{MAX_GIF_FPS, gif};
 pub use heads::{AttentionVideo, attention_strip};
-pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, Miniature, miniature};
+pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, miniature};
 pub use mp4::mp4;
 pub use strip::strip;
 

@@ -41,11 +41,8 @@ pub enum HistoryError {
         found: i64,
     },
     /// The file is a database with other tables.
-    #[error("{} is a database of something else, not a history of evaluations: move it away", path.display())]
-    Foreign {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("{} is a database of something else, not a history of evaluations: move it away", .0.display())]
+    Foreign(PathBuf),
     /// Another writer has the file open.
     #[error("another evaluator writes the history {}: give this one another run directory", .0.display())]
     Taken(PathBuf),
@@ -97,7 +94,8 @@ impl History {
         let failed = |error| HistoryError::Database { path: path.to_owned(), error };
         let mut db = Connection::open(path).map_err(failed)?;
         configure(&db).map_err(failed)?;
-        prepare(&mut db, path)?;
+        prepare(&mut db).map_err(failed)?;
+        check(&db, path)?;
         Ok(Self { path: path.to_owned(), db, _lock: lock })
     }
 
@@ -133,23 +131,17 @@ fn configure(db: &Connection) -> rusqlite::Result<()> {
     db.pragma_update(None, "foreign_keys", true)
 }
 
-/// Creates the tables in an empty database; leaves a database of this version unchanged.
-///
-/// # Errors
-/// If the database has a newer version, is not a history, or cannot be written.
-fn prepare(db: &mut Connection, path: &Path) -> Result<(), HistoryError> {
-    let failed = |error| HistoryError::Database { path: path.to_owned(), error };
+/// Creates the tables in an empty database; leaves any other unchanged.
+fn prepare(db: &mut Connection) -> rusqlite::Result<()> {
     // Check and create under one lock: if two processes find it empty, the second sees the tables of the first.
-    let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate).map_err(failed)?;
-    let n_tables: i64 =
-        transaction.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0)).map_err(failed)?;
+    let transaction = db.transaction_with_behavior(TransactionBehavior::Immediate)?;
+    let n_tables: i64 = transaction.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
     if n_tables == 0 {
-        transaction.execute_batch(TABLES).map_err(failed)?;
-        transaction.pragma_update(None, "application_id", APPLICATION_ID).map_err(failed)?;
-        transaction.pragma_update(None, "user_version", SCHEMA_VERSION).map_err(failed)?;
+        transaction.execute_batch(TABLES)?;
+        transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
+        transaction.pragma_update(None, "user_version", SCHEMA_VERSION)?;
     }
-    transaction.commit().map_err(failed)?;
-    check(db, path)
+    transaction.commit()
 }
 
 /// Checks that the database is a history of this version.
@@ -164,7 +156,7 @@ fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
         (APPLICATION_ID, SCHEMA_VERSION) => Ok(()),
         (APPLICATION_ID, found) if found > SCHEMA_VERSION => Err(HistoryError::Newer { path, found }),
         // Version 1 has no predecessor; later versions migrate older tables here.
-        _ => Err(HistoryError::Foreign { path }),
+        _ => Err(HistoryError::Foreign(path)),
     }
 }
 

@@ -2,17 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use proto::metrics::EvalBlueprint;
 use proto::wilson::SuccessRate;
 use serde::Serialize;
 
 use crate::Evaluation;
-use crate::series::{Row, group_of, group_rates, outcome_of};
+use crate::series::{Row, group_of, outcome_of, push_newer};
 use blueprints::Group;
 use proto::ActionMode;
 
 /// Version of the overview's schema. Within a version, fields are only added.
-pub const SCHEMA_VERSION: u32 = 2;
+const SCHEMA_VERSION: u32 = 2;
 
 /// Maximum number of evaluations kept. Above it, every other one is dropped; the newest always stays.
 const MAX_PASSES: usize = 400;
@@ -22,14 +21,6 @@ const MAX_PASSES: usize = 400;
 pub struct Evaluations {
     kept: Vec<Kept>,
     n_left_out: u64,
-}
-
-/// The reply to a history query on the bus.
-#[derive(Debug, Serialize)]
-pub struct Overview<'p> {
-    schema_version: u32,
-    #[serde(flatten)]
-    evaluations: EvaluationsView<'p>,
 }
 
 /// Number of successes and of episodes.
@@ -88,9 +79,10 @@ struct EvaluationView<'p> {
     sampled: Vec<Option<Counts>>,
 }
 
-/// All evaluations as serialized.
+/// All evaluations as serialized: the reply to a history query on the bus, and most of the one to the page.
 #[derive(Debug, Serialize)]
-pub struct EvaluationsView<'p> {
+pub struct Overview<'p> {
+    schema_version: u32,
     blueprints: Vec<BlueprintView<'p>>,
     n_left_out: u64,
     evaluations: Vec<EvaluationView<'p>>,
@@ -100,10 +92,7 @@ impl Evaluations {
     /// Adds an evaluation and removes those that it makes obsolete, as in [`lineage`](crate::series::lineage): a run
     /// resumed from an older checkpoint repeats some steps.
     pub fn push(&mut self, evaluation: &Evaluation) {
-        while self.kept.last().is_some_and(|last| last.head.n_env_steps >= evaluation.n_env_steps) {
-            self.kept.pop();
-        }
-        self.kept.push(Kept::new(evaluation));
+        push_newer(&mut self.kept, Kept::new(evaluation), |kept| kept.head.n_env_steps);
         if self.kept.len() > MAX_PASSES {
             let n_before = self.kept.len();
             let mut place = n_before;
@@ -129,74 +118,66 @@ impl Evaluations {
         })
     }
 
-    /// Returns the overview with its schema version, for the bus.
-    pub fn overview(&self) -> Overview<'_> {
-        Overview { schema_version: SCHEMA_VERSION, evaluations: self.view() }
-    }
-
     /// Returns the overview.
-    pub fn view(&self) -> EvaluationsView<'_> {
+    pub fn overview(&self) -> Overview<'_> {
         let mut rows: Vec<&Row> = self.kept.iter().flat_map(|evaluation| evaluation.rates.keys()).collect();
         rows.sort();
         rows.dedup();
         let counts = |evaluation: &Kept, place: usize| -> Vec<Option<Counts>> {
             rows.iter().map(|row| evaluation.rates.get(*row)?[place]).collect()
         };
-        let evaluations = self.kept.iter();
-        EvaluationsView {
-            evaluations: evaluations
-                .map(|evaluation| EvaluationView {
-                    head: &evaluation.head,
-                    greedy: counts(evaluation, 0),
-                    sampled: counts(evaluation, 1),
-                })
-                .collect(),
+        let evaluations = self.kept.iter().map(|evaluation| EvaluationView {
+            head: &evaluation.head,
+            greedy: counts(evaluation, 0),
+            sampled: counts(evaluation, 1),
+        });
+        Overview {
+            schema_version: SCHEMA_VERSION,
             blueprints: rows.iter().map(|row| BlueprintView::new(row)).collect(),
             n_left_out: self.n_left_out,
+            evaluations: evaluations.collect(),
         }
     }
 }
 
 impl Kept {
     fn new(evaluation: &Evaluation) -> Self {
-        let of = |score: &EvalBlueprint, acting| {
-            let success = outcome_of(score, acting)?.success;
-            Some([success.n_successes, success.n_episodes])
-        };
-        let rates: BTreeMap<Row, [Option<Counts>; 2]> = evaluation
-            .blueprints
-            .iter()
-            .map(|score| {
-                let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
-                (row, [of(score, ActionMode::Greedy), of(score, ActionMode::Sampled)])
-            })
-            .collect();
-        let (greedy, sampled) =
-            (group_rates(evaluation, ActionMode::Greedy), group_rates(evaluation, ActionMode::Sampled));
-        let mut names: Vec<Group> = evaluation.blueprints.iter().filter_map(group_of).collect();
-        names.sort();
-        names.dedup();
-        let group = |group: &Group| {
-            let n_blueprints = evaluation.blueprints.iter().filter(|score| group_of(score) == Some(*group)).count();
-            let rate = |rates: &BTreeMap<Group, (SuccessRate, usize)>| rates.get(group).map(|(rate, _)| *rate);
-            GroupView { name: group.name(), n_blueprints, greedy: rate(&greedy), sampled: rate(&sampled) }
-        };
-        let sum = |place: usize| {
-            let all = rates.values().filter_map(|counts| counts[place]);
-            all.reduce(|[hits, n], [more_hits, more]| [hits + more_hits, n + more])
-                .map(|[hits, n]| SuccessRate::new(hits, n))
-        };
-        let all = GroupView { name: "all", n_blueprints: rates.len(), greedy: sum(0), sampled: sum(1) };
+        let mut rates = BTreeMap::new();
+        let mut by_group: BTreeMap<Group, Vec<[Option<Counts>; 2]>> = BTreeMap::new();
+        for score in &evaluation.blueprints {
+            let counts = [ActionMode::Greedy, ActionMode::Sampled].map(|acting| {
+                let success = outcome_of(score, acting)?.success;
+                Some([success.n_successes, success.n_episodes])
+            });
+            let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
+            rates.insert(row, counts);
+            if let Some(group) = group_of(score) {
+                by_group.entry(group).or_default().push(counts);
+            }
+        }
+        let all: Vec<_> = rates.values().copied().collect();
         let head = Head {
             ended_unix_ms: evaluation.ended_unix_ms,
             elapsed_s: evaluation.elapsed_s,
             weights_version: evaluation.weights_version.0,
             n_env_steps: evaluation.n_env_steps,
             seed: evaluation.seed,
-            groups: names.iter().map(group).collect(),
-            all,
+            groups: by_group.iter().map(|(group, counts)| GroupView::new(group.name(), counts)).collect(),
+            all: GroupView::new("all", &all),
         };
         Self { head, rates }
+    }
+}
+
+impl GroupView {
+    /// Sums the counts of blueprints, each with greedy and with sampled actions.
+    fn new(name: &'static str, counts: &[[Option<Counts>; 2]]) -> Self {
+        let sum = |place: usize| {
+            let evaluated = counts.iter().filter_map(|both| both[place]);
+            let total = evaluated.reduce(|[hits, n], [more_hits, more]| [hits + more_hits, n + more]);
+            total.map(|[hits, n]| SuccessRate::new(hits, n))
+        };
+        Self { name, n_blueprints: counts.len(), greedy: sum(0), sampled: sum(1) }
     }
 }
 
@@ -224,7 +205,7 @@ mod tests {
             200,
             &[("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5), ("7_000", Split::Train, 7, 10)],
         ));
-        let view = serde_json::to_value(evaluations.view()).unwrap();
+        let view = serde_json::to_value(evaluations.overview()).unwrap();
         assert_eq!(
             view["blueprints"],
             json!([

@@ -48,12 +48,18 @@ pub struct Difference {
 pub fn lineage(evaluations: &[Evaluation]) -> Vec<&Evaluation> {
     let mut kept: Vec<&Evaluation> = Vec::new();
     for evaluation in evaluations {
-        while kept.last().is_some_and(|last| last.n_env_steps >= evaluation.n_env_steps) {
-            kept.pop();
-        }
-        kept.push(evaluation);
+        push_newer(&mut kept, evaluation, |evaluation| evaluation.n_env_steps);
     }
     kept
+}
+
+/// Appends a value of a run and removes those that it makes obsolete, so that the environment steps only increase: a run
+/// that was resumed from an older checkpoint repeats some of them.
+pub(crate) fn push_newer<T>(kept: &mut Vec<T>, value: T, n_env_steps: impl Fn(&T) -> u64) {
+    while kept.last().is_some_and(|last| n_env_steps(last) >= n_env_steps(&value)) {
+        kept.pop();
+    }
+    kept.push(value);
 }
 
 /// Returns the outcome for one action mode; `None` if it was not evaluated.
@@ -125,16 +131,14 @@ pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Evaluation]>, acting
 impl Grid {
     /// Builds a grid of the success rates of evaluations with increasing steps; `None` if none used this action mode.
     pub fn success(evaluations: &[&Evaluation], acting: ActionMode) -> Option<Self> {
-        let columns = evaluations.iter().map(|evaluation| {
-            let rates = rates(evaluation, acting).into_iter().map(|(row, rate)| (row, rate.rate)).collect();
-            (evaluation.n_env_steps, rates)
-        });
-        Self::of_columns(columns)
+        let values =
+            |rates: BTreeMap<Row, SuccessRate>| rates.into_iter().map(|(row, rate)| (row, rate.rate)).collect();
+        let columns = evaluated(evaluations, acting).into_iter().map(|(steps, rates)| (steps, values(rates)));
+        Self::of_columns(&columns.collect::<Vec<_>>())
     }
 
-    /// Builds a grid without the columns that have no value.
-    fn of_columns(columns: impl Iterator<Item = (u64, BTreeMap<Row, f64>)>) -> Option<Self> {
-        let columns: Vec<_> = columns.filter(|(_, values)| !values.is_empty()).collect();
+    /// Builds a grid of columns that have values; `None` if there is no column.
+    fn of_columns(columns: &[(u64, BTreeMap<Row, f64>)]) -> Option<Self> {
         let mut rows: Vec<Row> = columns.iter().flat_map(|(_, values)| values.keys().cloned()).collect();
         rows.sort();
         rows.dedup();
@@ -167,10 +171,10 @@ impl Difference {
             let both: BTreeMap<Row, f64> = both.collect();
             if !both.is_empty() {
                 max_apart = max_apart.max(steps.abs_diff(*their_steps));
+                columns.push((*steps, both));
             }
-            columns.push((*steps, both));
         }
-        Some(Self { grid: Grid::of_columns(columns.into_iter())?, max_apart })
+        Some(Self { grid: Grid::of_columns(&columns)?, max_apart })
     }
 }
 

@@ -1,4 +1,4 @@
-//! Video videos and their recordings: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
+//! Videos and their recordings: `<folder>/<blueprint>/<version>-<ending>.<kind>`, the newest of each.
 
 use std::fs;
 use std::io;
@@ -115,12 +115,8 @@ pub struct VideoFile {
     pub path: PathBuf,
     /// The goal.
     pub blueprint: BlueprintId,
-    /// Version of the acting weights.
-    pub version: WeightsVersion,
-    /// `success` or `failure`.
-    pub ending: &'static str,
-    /// Number from 1, as in [`VideoName`].
-    pub number: u32,
+    /// What the file's name says of it.
+    pub label: VideoName,
 }
 
 /// Returns the videos of a folder, newest first, without foreign files; empty if the folder cannot be read.
@@ -134,14 +130,12 @@ pub fn videos(folder: &Path) -> Vec<VideoFile> {
         let own = folder.join(blueprint.as_str());
         for name in names(&own) {
             let Some(label) = name.strip_suffix(".mp4").and_then(VideoName::of) else { continue };
-            let VideoName { version, ending, number } = label;
-            let (path, blueprint) = (own.join(&name), blueprint.clone());
-            found.push(VideoFile { path, blueprint, version, ending: ending.name(), number });
+            found.push(VideoFile { path: own.join(&name), blueprint: blueprint.clone(), label });
         }
     }
-    let order =
-        |video: &VideoFile| (std::cmp::Reverse(video.version), video.blueprint.clone(), video.ending, video.number);
-    found.sort_by_key(order);
+    found.sort_by_key(|VideoFile { blueprint, label, .. }| {
+        (std::cmp::Reverse(label.version), blueprint.clone(), label.ending.name(), label.number)
+    });
     found
 }
 
@@ -184,8 +178,9 @@ mod tests {
         let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
         assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
         // The page shows only our own videos, newest first.
-        let shown: Vec<_> = videos(dir.path()).into_iter().map(|video| (video.version.0, video.ending)).collect();
-        assert_eq!(shown, [(3, "success"), (2, "success"), (1, "failure")]);
+        let shown: Vec<_> = videos(dir.path()).into_iter().map(|video| video.label).collect();
+        let expected = [(3, Ending::Success), (2, Ending::Success), (1, Ending::Failure)];
+        assert_eq!(shown, expected.map(|(version, ending)| label(version, ending, 1)));
         assert!(videos(&dir.path().join("nowhere")).is_empty());
     }
 
@@ -196,7 +191,7 @@ mod tests {
         let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
         let kept = |version| {
             store.put(&blueprint, label(version, Ending::Success, 1), b"video").unwrap();
-            videos(dir.path()).into_iter().map(|video| video.version.0).collect::<Vec<_>>()
+            videos(dir.path()).into_iter().map(|video| video.label.version.0).collect::<Vec<_>>()
         };
         assert_eq!([700, 800, 301, 302].map(kept), [vec![700], vec![800, 700], vec![800, 301], vec![302, 301]]);
     }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::RunPaths;
+use crate::series::push_newer;
 use crate::tensorboard::{EventWriter, event_files};
 
 /// Maximum length of a line that is read, in bytes; those of a learner have below 20 KB.
@@ -269,12 +270,7 @@ pub fn lines<M: DeserializeOwned>(
     while (&mut reader).take(MAX_LINE_BYTES).read_until(b'\n', &mut line)? > 0 {
         if line.starts_with(&start) {
             match serde_json::from_slice::<M>(&line) {
-                Ok(value) => {
-                    while found.last().is_some_and(|last| n_env_steps(last) >= n_env_steps(&value)) {
-                        found.pop();
-                    }
-                    found.push(value);
-                }
+                Ok(value) => push_newer(&mut found, value, &n_env_steps),
                 Err(_) => n_unread += 1,
             }
         }

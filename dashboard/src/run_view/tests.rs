@@ -9,7 +9,7 @@ use crate::samples;
 const SECOND: Duration = Duration::from_secs(1);
 
 fn alive(run: &RunView) -> Vec<(&str, bool)> {
-    run.actors().iter().map(|(id, actor)| (id.as_str(), actor.is_alive)).collect()
+    run.actors.iter().map(|(id, actor)| (id.as_str(), actor.is_alive)).collect()
 }
 
 #[test]
@@ -23,13 +23,13 @@ fn the_newest_of_each_part_is_kept_with_its_time() {
     let mut newer = samples::learner();
     newer.value["weights_version"] = 813.into();
     run.take(&newer, 3 * SECOND);
-    let learner = run.learner().unwrap();
+    let learner = run.learner.as_ref().unwrap();
     assert_eq!((learner.value.weights_version.0, learner.at), (813, 3 * SECOND));
     // Receiving the same sample again, as the reply to a query, changes nothing.
     assert!(!run.take(&samples::evaluation(), 3 * SECOND));
-    assert_eq!(run.evaluation().unwrap().at, 2 * SECOND);
-    assert_eq!(run.actors().values().next().unwrap().metrics.as_ref().unwrap().value.policy_lag, 1);
-    assert_eq!(run.unread(), Unread::default());
+    assert_eq!(run.evaluation.as_ref().unwrap().at, 2 * SECOND);
+    assert_eq!(run.actors.values().next().unwrap().metrics.as_ref().unwrap().value.policy_lag, 1);
+    assert_eq!(run.unread, Unread::default());
 }
 
 /// Checks that a modified sample is counted as `expected` and not shown.
@@ -74,7 +74,7 @@ fn an_actor_without_its_token_is_lost_until_it_comes_back() {
     let mut run = RunView::default();
     assert!(run.set_session(&samples::session(&["a", "b"]), SECOND));
     assert!(!run.set_session(&samples::session(&["a", "b"]), SECOND));
-    assert_eq!((run.roster().learners.len(), run.roster().evaluators.len()), (1, 1));
+    assert_eq!((run.roster.learners.len(), run.roster.evaluators.len()), (1, 1));
     assert!(run.set_session(&samples::session(&["b"]), SECOND));
     assert_eq!(alive(&run), [("a", false), ("b", true)]);
     assert!(run.set_session(&samples::session(&["a", "b", "c"]), SECOND));
@@ -87,25 +87,25 @@ fn only_so_many_actors_are_remembered_and_lost_ones_make_room() {
     let names: Vec<String> = (0..MAX_ACTORS).map(|i| format!("actor-{i:05}")).collect();
     run.set_session(&samples::session(&names.iter().map(String::as_str).collect::<Vec<_>>()), SECOND);
     run.take(&samples::actor("one-more"), SECOND);
-    assert_eq!((run.actors().len(), run.unread().over_limit_total), (MAX_ACTORS, 1));
+    assert_eq!((run.actors.len(), run.unread.over_limit_total), (MAX_ACTORS, 1));
     run.set_session(&samples::session(&names[1..].iter().map(String::as_str).collect::<Vec<_>>()), SECOND);
     run.take(&samples::actor("one-more"), SECOND);
-    assert_eq!((run.actors().len(), run.unread().over_limit_total), (MAX_ACTORS, 1));
-    assert!(!run.actors().keys().any(|id| id.as_str() == "actor-00000"));
+    assert_eq!((run.actors.len(), run.unread.over_limit_total), (MAX_ACTORS, 1));
+    assert!(!run.actors.keys().any(|id| id.as_str() == "actor-00000"));
 }
 
 #[test]
 fn a_router_is_lost_only_after_it_was_reached_and_takes_nobody_with_it() {
     let mut run = RunView::default();
     assert!(!run.set_session(&samples::cut_off(), SECOND));
-    assert_eq!(run.link(), (Link::Joining, Duration::ZERO));
+    assert_eq!((run.link, run.link_since), (Link::Joining, Duration::ZERO));
     assert!(run.set_session(&samples::session(&["a"]), 2 * SECOND));
     assert!(run.set_session(&samples::cut_off(), 3 * SECOND));
     assert!(!run.set_session(&samples::cut_off(), 4 * SECOND));
-    assert_eq!(run.link(), (Link::Lost, 3 * SECOND));
-    assert_eq!((alive(&run), run.roster().learners.len()), (vec![("a", true)], 1));
+    assert_eq!((run.link, run.link_since), (Link::Lost, 3 * SECOND));
+    assert_eq!((alive(&run), run.roster.learners.len()), (vec![("a", true)], 1));
     assert!(run.set_session(&samples::session(&[]), 5 * SECOND));
-    assert_eq!(run.link(), (Link::Connected, 5 * SECOND));
+    assert_eq!((run.link, run.link_since), (Link::Connected, 5 * SECOND));
 }
 
 #[test]

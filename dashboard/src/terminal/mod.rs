@@ -18,7 +18,6 @@ use tokio::task::JoinError;
 use tokio::time::{MissedTickBehavior, timeout};
 use tokio_util::sync::CancellationToken;
 
-use self::view::Source;
 use crate::follow::{News, follow};
 use crate::run_view::{Link, RunView};
 
@@ -87,8 +86,8 @@ pub async fn live(config: Valid<BusConfig>, shutdown: CancellationToken) -> Resu
     if !io::stdout().is_terminal() {
         return Err(WatchError::NoTerminal);
     }
-    let (source, start) = (source(&config), Instant::now());
-    following(config, start, shutdown, async |run, shutdown| Ok(screen::show(run, &source, start, &shutdown).await?))
+    let (named, start) = (config.clone(), Instant::now());
+    following(config, start, shutdown, async |run, shutdown| Ok(screen::show(run, &named, start, &shutdown).await?))
         .await
 }
 
@@ -103,8 +102,7 @@ pub async fn once(
     patience: Duration,
     shutdown: CancellationToken,
 ) -> Result<String, WatchError> {
-    let (source, start) = (source(&config), Instant::now());
-    let its_config = config.clone();
+    let (its_config, start) = (config.clone(), Instant::now());
     following(config, start, shutdown, async |mut run, shutdown| {
         let arrived = tokio::select! {
             () = shutdown.cancelled() => return Ok(String::new()),
@@ -115,7 +113,7 @@ pub async fn once(
             // The bus failed. `following` returns the error.
             Ok(false) => return Ok(String::new()),
             Err(_) => {
-                let link = run.borrow().link().0;
+                let link = run.borrow().link;
                 return tokio::select! {
                     () = shutdown.cancelled() => Ok(String::new()),
                     error = silent(link, &its_config, patience) => Err(error),
@@ -126,8 +124,8 @@ pub async fn once(
         let _: Result<(), _> = timeout(LONGEST_SETTLING, settled).await;
         let run = run.borrow();
         Ok(match format {
-            Format::Text => view::text(&run, &source, start.elapsed()),
-            Format::Json => format!("{:#}", run.to_json(&source.run)),
+            Format::Text => view::text(&run, &its_config, start.elapsed()),
+            Format::Json => format!("{:#}", run.to_json(&its_config.run)),
         })
     })
     .await
@@ -222,12 +220,12 @@ async fn seek_others(run: &watch::Sender<RunView>, config: &Valid<BusConfig>) ->
     let mut period = tokio::time::interval(SEEK_PERIOD);
     loop {
         period.tick().await;
-        let is_alone = run.borrow().link().0 == Link::Connected && run.borrow().is_empty();
+        let is_alone = run.borrow().link == Link::Connected && run.borrow().is_empty();
         if !is_alone {
             continue;
         }
         match bus::runs(config).await {
-            Ok(others) => run.send_modify(|run| run.set_others(others)),
+            Ok(others) => run.send_modify(|run| run.others = others),
             Err(error) => tracing::debug!(%error, "the router's runs cannot be listed"),
         }
     }
@@ -252,8 +250,4 @@ async fn silent(link: Link, config: &Valid<BusConfig>, patience: Duration) -> Wa
         BTreeSet::new()
     });
     WatchError::Silent { run: config.run.clone(), seconds, others: others.into_iter().collect() }
-}
-
-fn source(config: &Valid<BusConfig>) -> Source {
-    Source { run: config.run.clone(), endpoints: config.connect.clone() }
 }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use bus::BusConfig;
 use ratatui::Terminal;
 use ratatui::backend::CrosstermBackend;
 use ratatui::crossterm::event::{self, Event};
@@ -15,7 +16,7 @@ use ratatui::crossterm::{cursor, execute};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use super::view::{self, Controls, Source};
+use super::view::{self, Controls};
 use crate::run_view::RunView;
 
 /// Redraw period. Ages are shown in seconds.
@@ -40,7 +41,7 @@ struct Screen {
 /// Returns an error if the terminal cannot be set up, read from or drawn to. The terminal is restored in any case.
 pub(super) async fn show(
     mut run: watch::Receiver<RunView>,
-    source: &Source,
+    config: &BusConfig,
     start: Instant,
     shutdown: &CancellationToken,
 ) -> io::Result<()> {
@@ -53,7 +54,7 @@ pub(super) async fn show(
     let mut controls = Controls::default();
     loop {
         screen.terminal.draw(|frame| {
-            view::draw(frame, &run.borrow_and_update(), source, &mut controls, start.elapsed());
+            view::draw(frame, &run.borrow_and_update(), config, &mut controls, start.elapsed());
         })?;
         let changed = async {
             tokio::time::sleep(FRAME).await;

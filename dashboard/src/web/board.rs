@@ -19,7 +19,7 @@ use crate::follow::News;
 use crate::run_view::proposals::CHARTED;
 use crate::run_view::{Link, Roster, RunView, SessionState};
 use runlog::Evaluation;
-use runlog::overview::{Evaluations, EvaluationsView, SCHEMA_VERSION};
+use runlog::overview::{Evaluations, Overview};
 
 /// Maximum number of remembered metrics keys; enough for the whole catalog and hundreds of actors.
 const MAX_KEYS: usize = 1024;
@@ -84,9 +84,8 @@ struct Point(u64, Value);
 /// The response to `/api/history`.
 #[derive(Debug, Serialize)]
 struct HistoryView<'b> {
-    schema_version: u32,
     #[serde(flatten)]
-    evaluations: EvaluationsView<'b>,
+    evaluations: Overview<'b>,
     learner: Vec<&'b Value>,
 }
 
@@ -124,7 +123,7 @@ impl Board {
         let state = &mut *self.state();
         if state.run.take(&sample, now)
             && sample.suffix == METRICS_LEARNER
-            && let Some(learner) = state.run.learner()
+            && let Some(learner) = &state.run.learner
         {
             state.points.push(&learner.value);
         }
@@ -184,11 +183,7 @@ impl Board {
     /// Returns the response to `/api/history`.
     pub(super) fn history(&self) -> serde_json::Result<Vec<u8>> {
         let state = self.state();
-        serde_json::to_vec(&HistoryView {
-            schema_version: SCHEMA_VERSION,
-            evaluations: state.evaluations.view(),
-            learner: state.points.all(),
-        })
+        serde_json::to_vec(&HistoryView { evaluations: state.evaluations.overview(), learner: state.points.all() })
     }
 }
 
@@ -199,8 +194,8 @@ impl State {
 
     /// Returns the visible processes that are alive; none while the router is gone.
     pub(super) fn roster(&self) -> Roster {
-        match self.run.link().0 {
-            Link::Connected => self.run.roster().clone(),
+        match self.run.link {
+            Link::Connected => self.run.roster.clone(),
             Link::Joining | Link::Lost => Roster::default(),
         }
     }
@@ -208,8 +203,8 @@ impl State {
     /// Returns the newest metrics of the visible actors that are alive. Unlike the terminal, the page omits lost
     /// actors.
     pub(super) fn actors(&self) -> impl Iterator<Item = (&ActorId, &ActorMetrics)> {
-        let is_connected = self.run.link().0 == Link::Connected;
-        let alive = self.run.actors().iter().filter(move |(_, actor)| is_connected && actor.is_alive);
+        let is_connected = self.run.link == Link::Connected;
+        let alive = self.run.actors.iter().filter(move |(_, actor)| is_connected && actor.is_alive);
         alive.filter_map(|(id, actor)| Some((id, &actor.metrics.as_ref()?.value)))
     }
 }
@@ -264,6 +259,10 @@ mod tests {
     use super::*;
     use crate::samples;
 
+    fn learned(board: &Board) -> Value {
+        serde_json::from_slice::<Value>(&board.history().unwrap()).unwrap()["learner"].take()
+    }
+
     #[test]
     fn history_counts_the_time_before_a_resume() {
         let board = Board::default();
@@ -272,8 +271,7 @@ mod tests {
         learner.value["n_env_steps"] = 4_000_000.into();
         learner.value["run_elapsed_s"] = 5000.into();
         board.receive(News::Metrics(vec![learner]), Duration::ZERO);
-        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
-        let points = &history["learner"];
+        let points = learned(&board);
         assert_eq!([&points[0]["elapsed_s"], &points[1]["elapsed_s"]], [&json!(2520.5), &json!(5000.0)]);
     }
 
@@ -281,8 +279,7 @@ mod tests {
     fn history_has_the_draws_of_the_mixture_head() {
         let board = Board::default();
         board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
-        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
-        let point = &history["learner"][0];
+        let point = &learned(&board)[0];
         for (name, value) in [("share_hold", 0.2), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
             assert_eq!(point[name], json!(value), "{point}");
         }
@@ -298,8 +295,8 @@ mod tests {
             learner.value["n_env_steps"] = (100 * update).into();
             board.receive(News::Metrics(vec![learner.clone()]), Duration::ZERO);
         }
-        let history: serde_json::Value = serde_json::from_slice(&board.history().unwrap()).unwrap();
-        let points = history["learner"].as_array().unwrap();
+        let points = learned(&board);
+        let points = points.as_array().unwrap();
         assert!(points.len() <= MAX_POINTS + 1);
         assert!(points.is_sorted_by_key(|point| point["n_env_steps"].as_u64()));
         assert_eq!(points.last().unwrap()["n_env_steps"], json!(100 * n_updates));

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use super::about::base;
 use super::assets;
 use super::events::Places;
-use super::routes::{self, Shown};
+use super::{Finished, routes};
 
 /// Maximum size of a response. A video has a few hundred kilobytes, an episode less.
 const MAX_ANSWER_BYTES: usize = 64 << 20;
@@ -32,13 +32,14 @@ struct Copy<'d> {
     n_files: usize,
 }
 
-/// Writes the page of these runs to `folder`, which it creates, with an episode for each of `goals` by the policy and
-/// by the expert. Returns the number of files.
-pub(super) async fn export(
-    (first, others, sweep): (Shown, Vec<Shown>, Option<Value>),
-    goals: &[BlueprintId],
-    folder: &Path,
-) -> anyhow::Result<usize> {
+/// Writes the page of finished runs to `folder`, which must not exist yet, for any web server to serve. If the run has
+/// weights, the copy includes an episode for each of `goals` by the policy and by the expert. Returns the number of
+/// files.
+///
+/// # Errors
+/// Returns an error if the folder cannot be created or written.
+pub async fn export(finished: Finished, goals: &[BlueprintId], folder: &Path) -> anyhow::Result<usize> {
+    let (first, others, sweep) = finished.into_shown();
     let unmade = || format!("cannot make the folder {}, which must be new", folder.display());
     ensure!(!folder.exists(), unmade());
     let unfinished = Unfinished::create(folder).with_context(unmade)?;

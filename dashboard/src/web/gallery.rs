@@ -8,21 +8,15 @@ use axum::extract::{Extension, RawQuery};
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
-use blueprints::{Blueprint, BlueprintId, Catalog, Group, UNIT_M};
+use blueprints::{Blueprint, BlueprintId, Catalog, Group};
 use parking_lot::Mutex;
-use render::picture::{Camera, Ground, Painter, View, corners, encode, of_blueprint};
+use render::picture::{Painter, View, draw_blueprint, encode};
 use serde_json::json;
 
 use super::query::id_of;
 
 /// Width and height of a picture in pixels.
 const SIZE_PX: [usize; 2] = [200, 150];
-
-/// Margin around a structure in pixels.
-const MARGIN_PX: f32 = 12.0;
-
-/// Minimum length in meters that fills a picture, so that small structures look small.
-const MIN_SHOWN_M: f32 = 4.0 * UNIT_M;
 
 /// Number of colors in a picture.
 const N_COLORS: usize = 96;
@@ -42,17 +36,11 @@ impl Gallery {
         if let Some(known) = drawn.get(blueprint.id()) {
             return Some(known.clone());
         }
-        let bytes = Bytes::from(draw(blueprint)?);
+        let image = draw_blueprint(&mut Painter::default(), blueprint, View::FrontQuarter, SIZE_PX);
+        let bytes = Bytes::from(encode(&image, N_COLORS).ok()?);
         drawn.insert(blueprint.id().clone(), bytes.clone());
         Some(bytes)
     }
-}
-
-fn draw(blueprint: &Blueprint) -> Option<Vec<u8>> {
-    let blocks = of_blueprint(blueprint);
-    let shorter = SIZE_PX[0].min(SIZE_PX[1]) as f32;
-    let camera = Camera::framing(View::FrontQuarter, &corners(&blocks), SIZE_PX, MARGIN_PX, shorter / MIN_SHOWN_M);
-    encode(&Painter::default().paint(&blocks, &camera, Ground::under(&blocks)), N_COLORS).ok()
 }
 
 /// Returns all blueprints of the catalog, in its order.

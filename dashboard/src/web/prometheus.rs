@@ -10,7 +10,7 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-use proto::metrics::{ProposalMetrics, VideoCounts};
+use proto::metrics::{LearnerMetrics, ProposalMetrics, VideoCounts};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Role};
 use serde::Serialize;
@@ -128,14 +128,11 @@ fn success(page: &mut Scrape, state: &State) {
 }
 
 fn learner(page: &mut Scrape, state: &State) {
-    let learner = state.run.learner().map(|heard| &heard.value);
-    let steps = learner.map(|learner| learner.n_env_steps);
-    page.counter("learner_env_steps", "Environment steps consumed by the learner", steps);
-    let updates = learner.map(|learner| learner.n_updates);
-    page.counter("learner_updates", "PPO updates", updates);
-    let episodes = learner.map(|learner| learner.n_episodes);
-    page.counter("learner_episodes", "Training episodes whose end was seen", episodes);
-    let mut gauge = |name, help, value: fn(&proto::metrics::LearnerMetrics) -> f64| {
+    let learner = state.run.learner.as_ref().map(|heard| &heard.value);
+    page.counter("learner_env_steps", "Environment steps consumed by the learner", learner.map(|l| l.n_env_steps));
+    page.counter("learner_updates", "PPO updates", learner.map(|l| l.n_updates));
+    page.counter("learner_episodes", "Training episodes whose end was seen", learner.map(|l| l.n_episodes));
+    let mut gauge = |name, help, value: fn(&LearnerMetrics) -> f64| {
         page.gauge(name, help, learner.map(value));
     };
     gauge("learner_weights_version", "Version of the newest weights", |l| l.weights_version.0 as f64);
@@ -158,11 +155,8 @@ fn proposals(page: &mut Scrape, proposals: Option<&ProposalMetrics>) {
     let Some(proposals) = proposals else { return };
     let kinds = || kinds(proposals).map(|(kind, found)| (vec![label("kind", kind.name())], found));
     let share = kinds().map(|(labels, found)| (labels, found.share));
-    page.gauges(
-        "learner_proposal_share_ratio",
-        "Part of the mixture head's draws in the newest update, by kind",
-        share,
-    );
+    let help = "Part of the mixture head's draws in the newest update, by kind";
+    page.gauges("learner_proposal_share_ratio", help, share);
     let success = kinds().filter_map(|(labels, found)| Some((labels, found.success?)));
     let help = "Part of the draws with a connection to make or break whose step did so, by kind of proposal";
     page.gauges("learner_proposal_success_ratio", help, success);
@@ -198,15 +192,12 @@ fn roster(page: &mut Scrape, state: &State) {
         let some = by_reason(&actor.bus).into_iter().filter(|(_, n)| *n > 0);
         some.map(move |(reason, n)| ([&labels[..], &reason[..]].concat(), n))
     });
-    page.counters(
-        "actor_bus_dropped",
-        "What an actor's session dropped or refused, by reason, once there is any",
-        of_bus,
-    );
+    let help = "What an actor's session dropped or refused, by reason, once there is any";
+    page.counters("actor_bus_dropped", help, of_bus);
 }
 
 fn dropped_by_learner(page: &mut Scrape, state: &State) {
-    let learner = state.run.learner().map(|heard| &heard.value);
+    let learner = state.run.learner.as_ref().map(|heard| &heard.value);
     let of_bus = learner.into_iter().flat_map(|learner| by_reason(&learner.bus));
     page.counters("learner_bus_dropped", "What the learner's session dropped or refused, by reason", of_bus);
     let reasons = learner.into_iter().flat_map(|learner| {
@@ -220,30 +211,18 @@ fn dropped_by_learner(page: &mut Scrape, state: &State) {
         ]
     });
     let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
-    page.counters(
-        "learner_trajectories_dropped",
-        "Trajectories that the learner did not learn from, by reason",
-        reasons,
-    );
-    page.counter(
-        "learner_updates_refused",
-        "Updates that were taken back, because no policy could act with their weights",
-        learner.map(|learner| learner.refused_total),
-    );
-    page.counter(
-        "learner_duplicates",
-        "Trajectories that came again after the learner had taken them",
-        learner.map(|learner| learner.ingest.duplicates_total),
-    );
-    page.counter(
-        "learner_back_pressure",
-        "Trajectories that came while the mailbox was full, which actors send again",
-        learner.map(|learner| learner.ingest.full_total),
-    );
+    let help = "Trajectories that the learner did not learn from, by reason";
+    page.counters("learner_trajectories_dropped", help, reasons);
+    let help = "Updates that were taken back, because no policy could act with their weights";
+    page.counter("learner_updates_refused", help, learner.map(|learner| learner.refused_total));
+    let help = "Trajectories that came again after the learner had taken them";
+    page.counter("learner_duplicates", help, learner.map(|learner| learner.ingest.duplicates_total));
+    let help = "Trajectories that came while the mailbox was full, which actors send again";
+    page.counter("learner_back_pressure", help, learner.map(|learner| learner.ingest.full_total));
 }
 
 fn dropped_by_evaluator(page: &mut Scrape, state: &State) {
-    let evaluation = state.run.evaluation().map(|heard| &heard.value);
+    let evaluation = state.run.evaluation.as_ref().map(|heard| &heard.value);
     let of_bus = evaluation.into_iter().flat_map(|evaluation| by_reason(&evaluation.bus));
     page.counters("evaluator_bus_dropped", "What the evaluator's session dropped or refused, by reason", of_bus);
     if let Some(videos) = evaluation.and_then(|evaluation| evaluation.videos) {
@@ -256,11 +235,8 @@ fn dropped_by_evaluator(page: &mut Scrape, state: &State) {
             ("oversized", oversized_total),
         ];
         let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
-        page.counters(
-            "evaluator_videos_dropped",
-            "Videos that were not made, or not for TensorBoard (oversized), by reason",
-            reasons,
-        );
+        let help = "Videos that were not made, or not for TensorBoard (oversized), by reason";
+        page.counters("evaluator_videos_dropped", help, reasons);
     }
 }
 
@@ -276,9 +252,9 @@ fn dropped_by_page(page: &mut Scrape, state: &State) {
     ];
     let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
     page.counters("page_dropped", "What the page itself dropped or refused, by reason", reasons);
-    let unread = by_reason(&state.run.unread());
+    let unread = by_reason(&state.run.unread);
     page.counters("page_metrics_unread", "Metrics that came and are not among these numbers, by reason", unread);
-    let of_bus = by_reason(&state.run.bus());
+    let of_bus = by_reason(&state.run.bus);
     page.counters("page_bus_dropped", "What the session of the page's process dropped or refused, by reason", of_bus);
     page.gauge("page_viewers", "Browsers that listen", Some(state.viewers.len() as f64));
 }
@@ -290,7 +266,6 @@ mod tests {
     use std::time::Duration;
 
     use blueprints::Split;
-    use proto::metrics::BusCounts;
 
     use super::*;
     use crate::follow::News;
@@ -326,14 +301,6 @@ mod tests {
     }
 
     #[test]
-    fn every_count_of_a_session_has_its_reason() {
-        let counts = BusCounts { weights_refused_total: 2, ..BusCounts::default() };
-        let reasons = by_reason(&counts);
-        assert!(reasons.contains(&(vec![label("reason", "weights_refused")], 2)), "{reasons:?}");
-        assert!(reasons.contains(&(vec![label("reason", "tokens_invalid")], 0)), "{reasons:?}");
-    }
-
-    #[test]
     fn draws_of_the_mixture_head_are_scraped_by_kind() {
         let board = Board::default();
         board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
@@ -357,8 +324,10 @@ mod tests {
         evaluation.value["bus"]["weights_refused_total"] = 2.into();
         board.receive(News::Metrics(vec![evaluation.clone()]), Duration::ZERO);
         let samples = parse(&text(&board.state(), "a run").unwrap());
-        let refused = "lodestone_evaluator_bus_dropped_total{reason=\"weights_refused\"}";
-        assert_eq!(samples.get(refused), Some(&2.0), "{samples:#?}");
+        for (reason, n) in [("weights_refused", 2.0), ("tokens_invalid", 0.0)] {
+            let sample = format!("lodestone_evaluator_bus_dropped_total{{reason=\"{reason}\"}}");
+            assert_eq!(samples.get(&sample), Some(&n), "{samples:#?}");
+        }
         // An evaluator that makes no videos has no counters of videos.
         assert!(!samples.keys().any(|sample| sample.contains("videos")), "{samples:#?}");
 

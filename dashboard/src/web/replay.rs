@@ -245,20 +245,11 @@ pub(super) mod tests {
 
     /// `n_steps` steps of an episode; its last segment if `ends`.
     pub(crate) fn segment(seed: u64, first_step: u16, n_steps: usize, ends: bool) -> Trajectory {
-        let gripper = |held| Gripper {
-            held,
-            orientation: [0.0, 0.0, 0.0, 1.0],
-            linear_velocity: [0.0; 3],
-            angular_velocity: [0.0; 3],
-        };
         let scene = |height: f32| Scene {
-            blocks: std::array::from_fn(|_| Pose {
-                position: [0.0, 0.123_456, height],
-                orientation: [0.0, 0.0, 0.0, 1.0],
-            }),
+            blocks: [Pose { position: [0.0, 0.123_456, height], orientation: [0.0, 0.0, 0.0, 1.0] }; 16],
             speeds_mps: [0.0; 16],
             joints: Vec::new(),
-            grippers: [Some(gripper(BlockIdx::all().nth(3))), Some(gripper(None))],
+            grippers: [Some(Gripper { held: BlockIdx::all().nth(3), ..Gripper::IDLE }), Some(Gripper::IDLE)],
             n_heavy_contacts: 0,
         };
         let reward = RewardTerms { connected: 0.5, ..RewardTerms::default() };

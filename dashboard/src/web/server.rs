@@ -59,10 +59,6 @@ impl Connection {
     pub(super) fn lasts(&self) {
         *self.progress.lock() = Progress::Lasting;
     }
-
-    fn progress(&self) -> Progress {
-        *self.progress.lock()
-    }
 }
 
 /// Open connections, from the oldest to the newest.
@@ -141,7 +137,7 @@ async fn answer(stream: TcpStream, connection: Connection, routes: Router, board
         .serve_connection(TokioIo::new(stream), service);
     let time_is_up = async {
         tokio::time::sleep(REQUEST_TIMEOUT).await;
-        if connection.progress() == Progress::Lasting {
+        if *connection.progress.lock() == Progress::Lasting {
             std::future::pending::<()>().await;
         }
     };

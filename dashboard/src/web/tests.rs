@@ -90,15 +90,27 @@ fn untrained() -> (Valid<PolicyConfig>, Weights) {
     (policy, weights)
 }
 
+/// Sends bytes and returns the whole response.
+async fn send(address: SocketAddr, bytes: &[u8]) -> String {
+    let mut stream = TcpStream::connect(address).await.unwrap();
+    // The server may close the connection before it has read all of a request that is too large.
+    let _ = stream.write_all(bytes).await;
+    let mut answer = Vec::new();
+    let _ = within(stream.read_to_end(&mut answer)).await;
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
 impl Served {
-    /// Sends bytes and returns the whole response.
     async fn send(&self, bytes: &[u8]) -> String {
+        send(self.address, bytes).await
+    }
+
+    /// Asks for the events and returns the lines of the response.
+    async fn listen(&self) -> BufReader<TcpStream> {
         let mut stream = TcpStream::connect(self.address).await.unwrap();
-        // The server may close the connection before it has read all of a request that is too large.
-        let _ = stream.write_all(bytes).await;
-        let mut answer = Vec::new();
-        let _ = within(stream.read_to_end(&mut answer)).await;
-        String::from_utf8_lossy(&answer).into_owned()
+        let request = format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", self.address);
+        stream.write_all(request.as_bytes()).await.unwrap();
+        BufReader::new(stream)
     }
 
     async fn get_with(&self, path: &str, headers: &str) -> String {
@@ -346,10 +358,7 @@ async fn too_many_browsers_leave_room_for_probes() {
     let served = serve(dir.path(), None).await;
     let mut listeners = Vec::new();
     for _ in 0..MAX_VIEWERS {
-        let mut stream = TcpStream::connect(served.address).await.unwrap();
-        let request = format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address);
-        stream.write_all(request.as_bytes()).await.unwrap();
-        let mut lines = BufReader::new(stream);
+        let mut lines = served.listen().await;
         // Only a connection with a response occupies a slot.
         within(event_with(&mut lines, "roster", |_| true)).await;
         listeners.push(lines);
@@ -385,9 +394,7 @@ async fn connections_that_say_too_little_are_few_and_short() {
         assert_eq!(served.status("/metrics", "").await, 200, "round {round}");
     }
     // A browser that listens keeps its place.
-    let mut stream = TcpStream::connect(served.address).await.unwrap();
-    stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address).as_bytes()).await.unwrap();
-    let mut lines = BufReader::new(stream);
+    let mut lines = served.listen().await;
     within(event_with(&mut lines, "roster", |_| true)).await;
     for _ in 0..2 * MAX_CONNECTIONS {
         hold(&mut held, "").await;
@@ -427,9 +434,7 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
     let mut served = serve(dir.path(), None).await;
     let before = served.bus.metrics_publisher("custom/first").await.unwrap();
     before.put(&json!({ "x": 1 })).await.unwrap();
-    let mut stream = TcpStream::connect(served.address).await.unwrap();
-    stream.write_all(format!("GET /api/events HTTP/1.1\r\nHost: {}\r\n\r\n", served.address).as_bytes()).await.unwrap();
-    let mut lines = BufReader::new(stream);
+    let mut lines = served.listen().await;
     // A late subscriber first receives the newest value. A sample still in flight arrives as an event.
     let first = within(event_with(&mut lines, "metrics", |data| data["key"] == "custom/first")).await;
     assert_eq!(first["payload"], json!({ "x": 1 }));
@@ -574,13 +579,8 @@ async fn runs_that_have_ended_stand_side_by_side() {
     let (first, others) = (finished("a", 100, Catalog::builtin().clone()), vec![finished("b", 200, own)]);
     let all = Finished { first, others, sweep: Some(json!({ "points": [] })) };
     let task = tokio::spawn(page.show(all, shutdown.clone()));
-    let ask = async |path: &str| {
-        let mut stream = TcpStream::connect(address).await.unwrap();
-        stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await.unwrap();
-        let mut answer = Vec::new();
-        within(stream.read_to_end(&mut answer)).await.unwrap();
-        String::from_utf8_lossy(&answer).into_owned()
-    };
+    let ask =
+        async |path: &str| send(address, format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await;
     let get =
         async |path: &str| serde_json::from_str::<Value>(ask(path).await.split_once("\r\n\r\n").unwrap().1).unwrap();
     let about = get("/runs/1/api/about").await;

@@ -1,4 +1,4 @@
-//! Video videos of evaluations: their list and their contents.
+//! Videos of evaluations: their list and their contents.
 
 use std::path::Path;
 
@@ -23,20 +23,16 @@ const POSTER_PX: usize = MIN_WIDTH;
 /// Number of colors in that image.
 const N_COLORS: usize = 96;
 
-/// Videos and recordings of a run, read from their folders on every request.
+/// Videos and recordings of a run, read from their folders on every request; `None` has no videos.
 #[derive(Clone, Debug)]
-pub(super) struct Videos(Option<RunPaths>);
+pub(super) struct Videos(pub(super) Option<RunPaths>);
 
 impl Videos {
-    /// Creates a view of the videos of `run`; `None` has no videos.
-    pub(super) fn new(run: Option<RunPaths>) -> Self {
-        Self(run)
-    }
-
     /// Returns the newest videos as sent to the browser, newest first, each with its `id` in `/api/video?id=`.
     pub(super) fn list(&self) -> Value {
         let view = |video: &VideoFile| {
-            let (blueprint, version, ending) = (&video.blueprint, video.version, video.ending);
+            let VideoFile { blueprint, label, .. } = video;
+            let (version, ending) = (label.version, label.ending.name());
             json!({ "id": id(video), "blueprint": blueprint, "weights_version": version, "ending": ending })
         };
         self.all().iter().take(MAX_LISTED).map(view).collect()
@@ -71,5 +67,6 @@ impl Videos {
 }
 
 fn id(video: &VideoFile) -> String {
-    format!("{}.{}.{}.{}", video.blueprint, video.version.0, video.ending, video.number)
+    let VideoFile { blueprint, label, .. } = video;
+    format!("{blueprint}.{}.{}.{}", label.version.0, label.ending.name(), label.number)
 }

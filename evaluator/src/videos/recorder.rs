@@ -18,7 +18,7 @@ use super::queue::{ClipQueue, Made, VideoRequest};
 use super::selector::EpisodeSelector;
 use crate::config::VideosConfig;
 use proto::ActionMode;
-use render::video::{Episode, Miniature, Video, miniature, mp4};
+use render::video::{Episode, MINIATURE_PX, Video, miniature, mp4};
 use runlog::RunPaths;
 use runlog::videos::{RECORDING, VideoName, VideoStore};
 
@@ -166,9 +166,9 @@ impl Reel {
         Ok(Self { folder, writer, older, n_bytes: 0, max_bytes: room_mb * 1_000_000 / 2, goes_on })
     }
 
-    pub(super) fn add(&mut self, request: &VideoRequest, small: &Miniature) -> io::Result<()> {
-        let [width, height] = small.size_px.map(|side| i32::try_from(side).unwrap_or(i32::MAX));
-        let n_bytes = (small.gif.len() * request.tags.len()) as u64;
+    pub(super) fn add(&mut self, request: &VideoRequest, gif: &[u8]) -> io::Result<()> {
+        let [width, height] = MINIATURE_PX.map(|side| i32::try_from(side).unwrap_or(i32::MAX));
+        let n_bytes = (gif.len() * request.tags.len()) as u64;
         if self.n_bytes > 0 && self.n_bytes + n_bytes > self.max_bytes {
             let newer = EventWriter::create(&self.folder)?;
             let full = std::mem::replace(&mut self.writer, newer);
@@ -180,7 +180,7 @@ impl Reel {
         if std::mem::take(&mut self.goes_on) {
             self.writer.restart(request.n_env_steps)?;
         }
-        let picture = Picture { height, width, colorspace: 3, encoded: small.gif.clone() };
+        let picture = Picture { height, width, colorspace: 3, encoded: gif.to_vec() };
         self.writer.picture(request.n_env_steps, &request.tags, &picture)
     }
 }

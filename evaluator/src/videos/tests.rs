@@ -9,7 +9,6 @@ use environment::{Step, StepResult};
 use proto::codec::decode_recording;
 use proto::metrics::VideoCounts;
 use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
-use render::video::Miniature;
 use runlog::RunPaths;
 
 use super::VideoRecorder;
@@ -147,7 +146,7 @@ fn restarts_leave_no_more_than_two_files_for_tensorboard() {
     assert!(play(&selector(&VideosConfig::default(), &queue), &scene(), ActionMode::Greedy, End::TimeLimit));
     let request = queue.next().unwrap();
     // Half of the megabyte holds one of these videos, so the second goes to another file.
-    let video = Miniature { gif: vec![0; 300_000], size_px: [1, 1] };
+    let video = vec![0; 300_000];
     reel.add(&request, &video).unwrap();
     assert!(is_there(&newest));
     reel.add(&request, &video).unwrap();

@@ -133,8 +133,7 @@ impl Camera {
 
     /// Returns the smallest rectangle around all `points` (m, world) that are in front of the viewer.
     pub(crate) fn window(&self, points: &[Point3<f32>]) -> Option<Window> {
-        let at = |point| self.project(point).map(|at| [at.x, at.y]);
-        let placed = points.iter().filter_map(at).map(|px| {
+        let placed = points.iter().filter_map(|point| self.place(point)).map(|px| {
             let place = std::array::from_fn(|axis| (px[axis] - self.center_px[axis]) / self.scale);
             Window { low: place, high: place }
         });

@@ -57,7 +57,7 @@ pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image
     write(&mut image, [PAD, 46], &fitted(&facts, Type::Body, room), Type::Body, GRAY);
     for (i, view) in CARD_VIEWS.into_iter().enumerate() {
         let (x, y) = (i % 2 * side, HEADER + i / 2 * side);
-        image.paste(&picture(painter, blueprint, view, [side, side]), x, y);
+        image.paste(&draw_blueprint(painter, blueprint, view, [side, side]), x, y);
         write(&mut image, [x + PAD, y + PAD / 2], view.caption(), Type::Small, GRAY);
     }
     for line in [HEADER, HEADER + side, HEADER + 2 * side] {
@@ -87,7 +87,7 @@ pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     let mut image = Image::filled(n_columns * width, shown.len().div_ceil(n_columns) * height, WHITE);
     for (i, blueprint) in shown.iter().enumerate() {
         let (x, y) = (i % n_columns * width, i / n_columns * height);
-        image.paste(&picture(painter, blueprint, View::FrontQuarter, [width, height - TILE_FOOT]), x, y);
+        image.paste(&draw_blueprint(painter, blueprint, View::FrontQuarter, [width, height - TILE_FOOT]), x, y);
         let words = y + height - TILE_FOOT;
         write(&mut image, [x + PAD, words], blueprint.id().as_str(), Type::BodyBold, INK);
         let title = fitted(blueprint.title(), Type::Body, width - 2 * PAD);
@@ -99,8 +99,8 @@ pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     image
 }
 
-/// Draws a picture of the blueprint alone.
-fn picture(painter: &mut Painter, blueprint: &Blueprint, view: View, size_px: [usize; 2]) -> Image {
+/// Draws a picture of the blueprint alone, with this width and height in pixels.
+pub fn draw_blueprint(painter: &mut Painter, blueprint: &Blueprint, view: View, size_px: [usize; 2]) -> Image {
     let blocks = of_blueprint(blueprint);
     let shorter = size_px[0].min(size_px[1]) as f32;
     let camera = Camera::framing(view, &corners(&blocks), size_px, MARGIN * shorter, shorter / MIN_SHOWN_M);

@@ -127,18 +127,12 @@ fn frame_has_the_gripper_color_and_ghost_has_only_edges() {
 #[test]
 fn held_blocks_are_framed() {
     let held = BlockIdx::try_from(5).unwrap();
-    let gripper = |held| Gripper {
-        held,
-        orientation: [0.0, 0.0, 0.0, 1.0],
-        linear_velocity: [0.0; 3],
-        angular_velocity: [0.0; 3],
-    };
     let pose = |i: usize| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] };
     let scene = Scene {
         blocks: std::array::from_fn(pose),
         speeds_mps: [0.0; N_BLOCKS],
         joints: Vec::new(),
-        grippers: [Some(gripper(None)), Some(gripper(Some(held)))],
+        grippers: [Some(Gripper::IDLE), Some(Gripper { held: Some(held), ..Gripper::IDLE })],
         n_heavy_contacts: 0,
     };
     for (i, block) in of_scene(&scene).iter().enumerate() {
@@ -167,16 +161,13 @@ fn blueprint_is_drawn_at_its_placements() {
 
 #[test]
 fn painter_keeps_nothing_of_earlier_pictures() {
-    let [first, second] = [0, 20].map(|i| of_blueprint(Catalog::builtin().iter().nth(i).unwrap()));
+    let [first, second] = [0, 20].map(|i| Catalog::builtin().iter().nth(i).unwrap());
     let mut painter = Painter::default();
-    let paint = |painter: &mut Painter, blocks: &[Block]| {
-        let camera = Camera::framing(View::FrontQuarter, &corners(blocks), [64, 48], 4.0, 300.0);
-        painter.paint(blocks, &camera, Ground::under(blocks))
-    };
-    let expected = paint(&mut Painter::default(), &second);
-    paint(&mut painter, &first);
-    assert_eq!(paint(&mut painter, &second), expected);
-    assert_eq!(paint(&mut painter, &second), expected);
+    let draw = |painter: &mut Painter, blueprint| draw_blueprint(painter, blueprint, View::FrontQuarter, [64, 48]);
+    let expected = draw(&mut Painter::default(), second);
+    draw(&mut painter, first);
+    assert_eq!(draw(&mut painter, second), expected);
+    assert_eq!(draw(&mut painter, second), expected);
 }
 
 #[test]

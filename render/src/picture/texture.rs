@@ -10,10 +10,10 @@ use super::model::{Block, Finish, Side};
 use super::raster::{Samples, Surface};
 
 /// Color of positive magnets.
-pub const POSITIVE_COLOR: Rgb = [208, 40, 46];
+pub(super) const POSITIVE_COLOR: Rgb = [208, 40, 46];
 
 /// Color of negative magnets.
-pub const NEGATIVE_COLOR: Rgb = [32, 82, 196];
+pub(super) const NEGATIVE_COLOR: Rgb = [32, 82, 196];
 
 /// Radius of a magnet's disc, and of its light rim, in units.
 const MAGNET_RADIUS_U: f32 = 0.19;

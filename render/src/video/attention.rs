@@ -78,11 +78,12 @@ pub struct Shares {
 
 impl Shares {
     /// Adds the shares field by field.
-    fn plus(self, other: Self) -> Self {
+    pub(super) fn plus(self, other: Self) -> Self {
         Self { planned: self.planned + other.planned, joined: self.joined + other.joined, held: self.held + other.held }
     }
 
-    fn times(self, factor: f32) -> Self {
+    /// Multiplies each share by `factor`.
+    pub(super) fn times(self, factor: f32) -> Self {
         Self { planned: self.planned * factor, joined: self.joined * factor, held: self.held * factor }
     }
 

@@ -121,11 +121,6 @@ impl Episode {
         ((time_s / STEP_S + 1e-3).max(0.0) as usize).min(self.n_steps())
     }
 
-    /// Returns the cumulative reward at a time in seconds.
-    pub(super) fn return_at(&self, time_s: f32) -> f32 {
-        self.return_after(self.n_done(time_s)).total()
-    }
-
     /// Returns the cumulative reward of the first `n_done` steps by term.
     pub fn return_after(&self, n_done: usize) -> RewardTerms {
         self.returns[n_done]

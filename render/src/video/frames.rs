@@ -64,11 +64,6 @@ impl<'a> Video<'a> {
         Self { episode, stage, painter, size_px, panel, layout }
     }
 
-    /// Returns the width and height of the frames in pixels, both even.
-    pub fn size_px(&self) -> [usize; 2] {
-        self.size_px
-    }
-
     /// Returns all frames in order, `fps` (at least 1) per second. On the last scene, the camera moves closer and then
     /// pauses.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
@@ -105,8 +100,9 @@ impl<'a> Video<'a> {
         y += line * 2 / 3;
         let step = self.episode.first_step() + n_done;
         let n_steps = self.episode.first_step() + self.episode.n_steps();
+        let reward = self.episode.return_after(n_done).total();
         row(image, [x, y], room, words, "step", &format!("{step}/{n_steps}"));
-        row(image, [x, y + line], room, words, "reward", &format!("{:.1}", self.episode.return_at(time_s)));
+        row(image, [x, y + line], room, words, "reward", &format!("{reward:.1}"));
         y += 2 * line + line / 3;
         for (gripper_idx, color) in GRIPPER_COLORS.into_iter().enumerate() {
             let Some(held) = held(scene, gripper_idx) else { continue };

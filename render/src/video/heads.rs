@@ -78,25 +78,20 @@ impl<'g> AttentionVideo<'g> {
         self.place(&mut image, [0, 0], &world, &words, INK);
         let goal = format!("goal: {}", episode.goal().id());
         self.place(&mut image, [1, 0], &self.goal, &goal, INK);
-        for gripper in 0..attention.n_grippers() {
-            let source = AttentionSource::Gripper(gripper);
+        for source in attention.sources() {
             let picture = attention.picture(source, n_done, &self.stage, &mut self.painter);
-            let (words, color) = source.caption(attention.n_grippers());
-            self.place(&mut image, [2 + gripper, 0], &picture, &words, color);
-        }
-        for (layer, head) in
-            (0..attention.n_layers()).flat_map(|layer| (0..attention.n_heads()).map(move |head| (layer, head)))
-        {
-            let source = AttentionSource::Head { layer, head };
-            let picture = attention.picture(source, n_done, &self.stage, &mut self.painter);
-            let [left, top] =
-                self.place(&mut image, [head, layer + 1], &picture, &format!("{}.{}", layer + 1, head + 1), INK);
-            bars(
-                &mut image,
-                [left + 36, top],
-                self.tile_px[0].saturating_sub(36),
-                attention.shares(layer, head, n_done),
-            );
+            match source {
+                AttentionSource::Gripper(gripper) => {
+                    let (words, color) = source.caption(attention.n_grippers());
+                    self.place(&mut image, [2 + gripper, 0], &picture, &words, color);
+                }
+                AttentionSource::Head { layer, head } => {
+                    let words = format!("{}.{}", layer + 1, head + 1);
+                    let [left, top] = self.place(&mut image, [head, layer + 1], &picture, &words, INK);
+                    let room = self.tile_px[0].saturating_sub(36);
+                    bars(&mut image, [left + 36, top], room, attention.shares(layer, head, n_done));
+                }
+            }
         }
         let top = self.size_px[1] - LEGEND + 4;
         legend(&mut image, [2, top]);
@@ -126,23 +121,15 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
     let (n_moments, episode) = (n_moments.max(2), attention.episode);
     let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / n_moments - GAP;
     let tile_px = [tile_width, tile_width * 9 / 16];
-    let grippers = (0..attention.n_grippers()).map(AttentionSource::Gripper);
-    let heads = (0..attention.n_layers())
-        .flat_map(|layer| (0..attention.n_heads()).map(move |head| AttentionSource::Head { layer, head }));
-    let sources: Vec<AttentionSource> = grippers.chain(heads).collect();
+    let sources: Vec<AttentionSource> = attention.sources().collect();
     let step_px = [tile_px[0] + GAP, tile_px[1] + GAP];
     let height = FOOT + (sources.len() + 1) * step_px[1] + LEGEND;
     let mut image = Image::filled(MARGIN + n_moments * step_px[0], height, WHITE);
     let mut painter = Painter::default();
     let goal = goal_picture(&mut painter, episode, [MARGIN - 12, tile_px[1]]);
     put(&mut image, [0, FOOT], &goal);
-    write(
-        &mut image,
-        [2, 2],
-        &fitted(&format!("goal: {}", episode.goal().id()), Type::Small, MARGIN),
-        Type::Small,
-        INK,
-    );
+    let words = format!("goal: {}", episode.goal().id());
+    write(&mut image, [2, 2], &fitted(&words, Type::Small, MARGIN), Type::Small, INK);
     let stage = Stage::new(episode, tile_px);
     for moment in 0..n_moments {
         let n_done = moment * episode.n_steps() / (n_moments - 1);
@@ -151,11 +138,8 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
         write(&mut image, [x + 2, 2], &fitted(&words, Type::Small, tile_px[0]), Type::Small, GRAY);
         put(&mut image, [x, FOOT], &stage.picture(&mut painter, &episode.scenes()[n_done], n_done as f32));
         for (row, source) in sources.iter().enumerate() {
-            put(
-                &mut image,
-                [x, FOOT + (row + 1) * step_px[1]],
-                &attention.picture(*source, n_done, &stage, &mut painter),
-            );
+            let picture = attention.picture(*source, n_done, &stage, &mut painter);
+            put(&mut image, [x, FOOT + (row + 1) * step_px[1]], &picture);
         }
     }
     for (row, source) in sources.iter().enumerate() {
@@ -164,13 +148,8 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
         write(&mut image, [2, y + 4], &fitted(&words, Type::Small, MARGIN), Type::Small, color);
         let AttentionSource::Head { layer, head } = *source else { continue };
         let each = 1.0 / episode.scenes().len() as f32;
-        let mut mean = Shares::default();
-        for n_done in 0..episode.scenes().len() {
-            let shares = attention.shares(layer, head, n_done);
-            mean.planned += each * shares.planned;
-            mean.joined += each * shares.joined;
-            mean.held += each * shares.held;
-        }
+        let of_scene = |n_done| attention.shares(layer, head, n_done).times(each);
+        let mean = (0..episode.scenes().len()).map(of_scene).fold(Shares::default(), Shares::plus);
         let shares = [mean.planned, mean.joined, mean.held];
         for (i, ((name, color), share)) in SHARES.into_iter().zip(shares).enumerate() {
             let top = y + 24 + i * 18;

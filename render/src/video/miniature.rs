@@ -27,21 +27,12 @@ const LAST_FRAMES: usize = 6;
 const FOOT_PX: usize = 20;
 const GOAL_PX: [usize; 2] = [84, 72];
 
-/// A small GIF of an episode.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Miniature {
-    /// The GIF file.
-    pub gif: Vec<u8>,
-    /// Width and height in pixels.
-    pub size_px: [usize; 2],
-}
-
-/// Encodes the episode in at most [`MAX_MINIATURE_BYTES`]. While the GIF is too large, every second frame is dropped;
+/// Encodes the episode as a GIF of [`MINIATURE_PX`] in at most [`MAX_MINIATURE_BYTES`]. While the GIF is too large, every second frame is dropped;
 /// `None` if it never fits.
 ///
 /// # Errors
 /// Returns the errors of [`gif()`].
-pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
+pub fn miniature(episode: &Episode) -> Result<Option<Vec<u8>>, VideoError> {
     let [width, height] = MINIATURE_PX;
     let stage = Stage::new(episode, [width, height - FOOT_PX]);
     let mut painter = Painter::default();
@@ -56,7 +47,7 @@ pub fn miniature(episode: &Episode) -> Result<Option<Miniature>, VideoError> {
         let frames = times.map(|time| frame(episode, time, &goal, &stage, &mut painter));
         let gif = gif(frames, FPS)?;
         if gif.len() <= MAX_MINIATURE_BYTES {
-            return Ok(Some(Miniature { gif, size_px: MINIATURE_PX }));
+            return Ok(Some(gif));
         }
         if every >= episode.n_steps() {
             return Ok(None);

@@ -21,7 +21,7 @@ fn scene(along_m: f32) -> Scene {
     let mut blocks = std::array::from_fn(|i| Pose { position: row(i), orientation: STILL });
     blocks[0].position = [along_m, -0.5, 0.05];
     let held = BlockIdx::all().next();
-    let gripper = Gripper { held, orientation: STILL, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
+    let gripper = Gripper { held, ..Gripper::IDLE };
     let speeds_mps = [0.0; N_BLOCKS];
     Scene { blocks, speeds_mps, joints: Vec::new(), grippers: [Some(gripper), None], n_heavy_contacts: 0 }
 }
@@ -81,7 +81,7 @@ fn mean_column(image: &Image, color: Rgb) -> f32 {
 #[test]
 fn segments_in_any_order_form_the_episode() {
     assert_eq!(Episode::new(&[segment(2, 4), segment(0, 2)], goal()).unwrap(), episode());
-    assert_eq!(episode().return_at(0.25), 2.0);
+    assert_eq!(episode().return_after(episode().n_done(0.25)).total(), 2.0);
     let refused = |segments: &[Trajectory]| Episode::new(segments, goal()).unwrap_err();
     assert_eq!(refused(&[]), EpisodeError::Empty);
     assert_eq!(refused(&[segment(0, 2), segment(3, 4)]), EpisodeError::Gap { expected: 2, found: 3 });
@@ -261,8 +261,8 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
 fn miniature_stays_small_and_has_every_second_step() {
     let episode = episode();
     let small = miniature(&episode).unwrap().unwrap();
-    assert!(small.gif.len() <= MAX_MINIATURE_BYTES && small.gif.starts_with(b"GIF89a"));
-    let mut decoder = ::gif::DecodeOptions::new().read_info(small.gif.as_slice()).unwrap();
+    assert!(small.len() <= MAX_MINIATURE_BYTES && small.starts_with(b"GIF89a"));
+    let mut decoder = ::gif::DecodeOptions::new().read_info(small.as_slice()).unwrap();
     assert_eq!([decoder.width(), decoder.height()].map(usize::from), MINIATURE_PX);
     let mut n_frames = 0;
     while decoder.read_next_frame().unwrap().is_some() {

@@ -7,7 +7,7 @@ use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport, EvalResetFree, Eval
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, InvalidActionMode, RewardTerms, WeightsVersion};
 use rusqlite::types::Type;
-use rusqlite::{Connection, Error, Result, Row, TransactionBehavior, params};
+use rusqlite::{Connection, Error, Result, Row, ToSql, TransactionBehavior, params, params_from_iter};
 
 /// One evaluation of frozen weights, as stored in the history.
 #[derive(Clone, Debug, PartialEq)]
@@ -82,24 +82,8 @@ pub(super) fn append(db: &mut Connection, evaluation: &Evaluation) -> Result<()>
                 if outcome.success.n_episodes == 0 {
                     continue;
                 }
-                let EvalOutcome { success, stable_success, mean_steps, mean_steps_to_success, .. } = outcome;
-                let [connected, wrong, magnets, blocks, force] = returns(&outcome.mean_return);
-                insert_outcome.execute(params![
-                    pass_id,
-                    blueprint_id,
-                    stored(acting),
-                    success.n_episodes,
-                    success.n_successes,
-                    stable_success.n_successes,
-                    outcome.n_diverged,
-                    mean_steps,
-                    mean_steps_to_success,
-                    connected,
-                    wrong,
-                    magnets,
-                    blocks,
-                    force,
-                ])?;
+                let key: [&dyn ToSql; 3] = [&pass_id, &blueprint_id, &stored(acting)];
+                insert_outcome.execute(params_from_iter(key.into_iter().chain(columns(outcome))))?;
             }
         }
         if let Some(reset_free) = &evaluation.reset_free {
@@ -115,34 +99,31 @@ fn append_reset_free(db: &Connection, pass_id: i64, reset_free: &EvalResetFree) 
         if outcome.success.n_episodes == 0 {
             continue;
         }
-        let [connected, wrong, magnets, blocks, force] = returns(&outcome.mean_return);
         let by_goal = serde_json::to_string(&runs.n_successes_by_goal)
             .map_err(|error| Error::ToSqlConversionFailure(error.into()))?;
-        db.execute(
-            INSERT_RUNS,
-            params![
-                pass_id,
-                stored(acting),
-                reset_free.n_runs,
-                reset_free.n_goals,
-                outcome.success.n_episodes,
-                outcome.success.n_successes,
-                outcome.stable_success.n_successes,
-                outcome.n_diverged,
-                outcome.mean_steps,
-                outcome.mean_steps_to_success,
-                connected,
-                wrong,
-                magnets,
-                blocks,
-                force,
-                by_goal,
-                runs.run_rate_std,
-                runs.n_forced_resets,
-            ],
-        )?;
+        let before: [&dyn ToSql; 4] = [&pass_id, &stored(acting), &reset_free.n_runs, &reset_free.n_goals];
+        let after: [&dyn ToSql; 3] = [&by_goal, &runs.run_rate_std, &runs.n_forced_resets];
+        db.execute(INSERT_RUNS, params_from_iter(before.into_iter().chain(columns(outcome)).chain(after)))?;
     }
     Ok(())
+}
+
+/// Returns what both tables store of an outcome, in the order of their columns.
+fn columns(outcome: &EvalOutcome) -> [&dyn ToSql; 11] {
+    let RewardTerms { connected, wrong, magnets, blocks, force } = &outcome.mean_return;
+    [
+        &outcome.success.n_episodes,
+        &outcome.success.n_successes,
+        &outcome.stable_success.n_successes,
+        &outcome.n_diverged,
+        &outcome.mean_steps,
+        &outcome.mean_steps_to_success,
+        connected,
+        wrong,
+        magnets,
+        blocks,
+        force,
+    ]
 }
 
 /// Reads all evaluations in writing order.
@@ -261,9 +242,4 @@ fn parsed<T, E: std::fmt::Display>(row: &Row<'_>, column: &str, parse: impl Fn(&
 fn invalid(row: &Row<'_>, column: &str, message: String) -> Error {
     let column_idx = row.as_ref().column_index(column).unwrap_or_default();
     Error::FromSqlConversionFailure(column_idx, Type::Text, message.into())
-}
-
-fn returns(terms: &RewardTerms) -> [f32; 5] {
-    let &RewardTerms { connected, wrong, magnets, blocks, force } = terms;
-    [connected, wrong, magnets, blocks, force]
 }

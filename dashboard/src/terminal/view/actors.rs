@@ -34,7 +34,7 @@ pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'st
 
 /// Returns the heading and column names, and the rows of all actors in this order, live actors before lost ones.
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
-    let mut rows: Vec<(&ActorId, &Actor)> = run.actors().iter().collect();
+    let mut rows: Vec<(&ActorId, &Actor)> = run.actors.iter().collect();
     // Actors without metrics come last; the largest number comes first.
     let number = |actor: &Actor| -> f64 {
         let Some(heard) = &actor.metrics else { return f64::NEG_INFINITY };
@@ -53,7 +53,7 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     let (alive, lost): (Vec<_>, Vec<_>) = rows.into_iter().partition(|(_, actor)| actor.is_alive);
     let steps_per_s: f64 =
         alive.iter().filter_map(|(_, actor)| actor.metrics.as_ref()).map(|heard| heard.value.env_steps_per_s).sum();
-    let title = match run.link().0 {
+    let title = match run.link {
         Link::Lost => "Actors: unknown while the router is gone".to_owned(),
         _ => format!("Actors: {} alive, {} lost; {} steps/s", alive.len(), lost.len(), rate(steps_per_s)),
     };

@@ -27,7 +27,6 @@ pub(crate) enum Part {
 pub(super) struct Order {
     /// Index of the column.
     pub(super) by: usize,
-    /// Whether the order is reversed.
     pub(super) is_reversed: bool,
 }
 

@@ -16,7 +16,7 @@ const NOT_DROPPED: [&str; 3] = ["received_total", "accepted_total", "duplicates_
 /// Returns all nonzero drop counters, under their names on the page, in lines of `width` characters.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     let mut drops = Drops::default();
-    if let Some(learner) = run.learner().map(|heard| &heard.value) {
+    if let Some(learner) = run.learner.as_ref().map(|heard| &heard.value) {
         drops.add("learner", "expired", learner.expired_total);
         drops.add("learner", "not usable", learner.unmade_total);
         drops.add("learner", "updates taken back", learner.refused_total);
@@ -25,11 +25,11 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         drops.add_all("learner", &IngestCounts { full_total: 0, ..learner.ingest });
         drops.add_all("learner's bus", &learner.bus);
     }
-    for actor in run.actors().values().filter_map(|actor| actor.metrics.as_ref()) {
+    for actor in run.actors.values().filter_map(|actor| actor.metrics.as_ref()) {
         drops.add_all("actors", &actor.value.dropped);
         drops.add_all("actors' bus", &actor.value.bus);
     }
-    if let Some(evaluation) = run.evaluation().map(|heard| &heard.value) {
+    if let Some(evaluation) = run.evaluation.as_ref().map(|heard| &heard.value) {
         let all = &evaluation.all;
         drops.add("evaluator", "diverged", all.greedy.n_diverged.saturating_add(all.sampled.n_diverged));
         drops.add_all("evaluator's bus", &evaluation.bus);
@@ -37,8 +37,8 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
             drops.add_all("videos", &VideoCounts { written_total: 0, n_waiting: 0, ..videos });
         }
     }
-    drops.add_all("watch", &run.unread());
-    drops.add_all("watch's bus", &run.bus());
+    drops.add_all("watch", &run.unread);
+    drops.add_all("watch's bus", &run.bus);
     let mut lines = drops.lines(width);
     lines.extend(back_pressure(run));
     lines
@@ -46,7 +46,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
 
 /// Formats the number of segments that arrived while the mailbox was full. Actors wait and send them again.
 fn back_pressure(run: &RunView) -> Option<Line<'static>> {
-    let n_refused = run.learner().map(|heard| heard.value.ingest.full_total).filter(|n| *n > 0)?;
+    let n_refused = run.learner.as_ref().map(|heard| heard.value.ingest.full_total).filter(|n| *n > 0)?;
     Some(plain(format!("  back-pressure {}: came while the mailbox was full, sent again", count(n_refused))))
 }
 

@@ -2,40 +2,32 @@
 
 use std::time::Duration;
 
+use bus::BusConfig;
 use ratatui::text::Line;
 
 use super::format::{age, span};
 use super::styled::{alarm, heading, plain};
 use crate::run_view::{Link, RunView, waits};
 
-/// The watched run, as named on the command line.
-#[derive(Clone, Debug)]
-pub(crate) struct Source {
-    /// Name of the run.
-    pub(crate) run: String,
-    /// Endpoints of the router.
-    pub(crate) endpoints: Vec<String>,
-}
-
 /// Returns two lines, a third if the learner cannot save, and one with the other runs on the router if this run is empty.
-pub(super) fn lines(run: &RunView, source: &Source, now: Duration) -> Vec<Line<'static>> {
-    let title = heading(format!("Run {} at {}", source.run, source.endpoints.join(", ")));
+pub(super) fn lines(run: &RunView, config: &BusConfig, now: Duration) -> Vec<Line<'static>> {
+    let title = heading(format!("Run {} at {}", config.run, config.connect.join(", ")));
     let mut lines = vec![title, state(run, now)];
-    lines.extend(run.learner().and_then(|heard| heard.value.not_saved.as_ref()).map(|why| alarm(waits(why))));
-    if run.is_empty() && !run.others().is_empty() {
-        let names: Vec<&str> = run.others().iter().map(String::as_str).collect();
+    lines.extend(run.learner.as_ref().and_then(|heard| heard.value.not_saved.as_ref()).map(|why| alarm(waits(why))));
+    if run.is_empty() && !run.others.is_empty() {
+        let names: Vec<&str> = run.others.iter().map(String::as_str).collect();
         lines.push(plain(format!("Runs on this router: {}; --run NAME watches one", names.join(", "))));
     }
     lines
 }
 
 fn state(run: &RunView, now: Duration) -> Line<'static> {
-    let (link, since) = run.link();
-    let since = span(now.saturating_sub(since));
-    let (learner, evaluation) = (run.learner().map(|heard| heard.at), run.evaluation().map(|heard| heard.at));
-    let (n_learners, n_evaluators) = (run.roster().learners.len(), run.roster().evaluators.len());
+    let since = span(now.saturating_sub(run.link_since));
+    let learner = run.learner.as_ref().map(|heard| heard.at);
+    let evaluation = run.evaluation.as_ref().map(|heard| heard.at);
+    let (n_learners, n_evaluators) = (run.roster.learners.len(), run.roster.evaluators.len());
     let members = [member("learner", n_learners, learner, now), member("evaluator", n_evaluators, evaluation, now)];
-    match link {
+    match run.link {
         Link::Joining => alarm(format!("No router was reached in {since}; still trying")),
         Link::Lost => {
             let newest = learner

@@ -12,13 +12,13 @@ mod trends;
 
 use std::time::Duration;
 
+use bus::BusConfig;
 use ratatui::Frame;
 use ratatui::text::{Line, Text};
 
 use crate::run_view::RunView;
 
 pub(crate) use controls::{Controls, ends};
-pub(crate) use header::Source;
 
 use controls::Part;
 use styled::plain;
@@ -37,10 +37,10 @@ const FOOTER_FROM: usize = 8;
 
 /// Draws the selected part of the state as of `now`, the time since the watch began. Rows that do not fit can be
 /// scrolled to.
-pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, controls: &mut Controls, now: Duration) {
+pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, config: &BusConfig, controls: &mut Controls, now: Duration) {
     let area = frame.area();
     let (width, height) = (usize::from(area.width), usize::from(area.height));
-    let mut lines = header::lines(run, source, now);
+    let mut lines = header::lines(run, config, now);
     let has_footer = height >= FOOTER_FROM;
     let mut room = height.saturating_sub(lines.len() + usize::from(has_footer));
     let (fixed, rows) = match controls.part() {
@@ -63,9 +63,9 @@ pub(crate) fn draw(frame: &mut Frame<'_>, run: &RunView, source: &Source, contro
 }
 
 /// Formats the full known state as of `now`, the time since the watch began, as plain text.
-pub(crate) fn text(run: &RunView, source: &Source, now: Duration) -> String {
+pub(crate) fn text(run: &RunView, config: &BusConfig, now: Duration) -> String {
     let sections = [
-        header::lines(run, source, now),
+        header::lines(run, config, now),
         success::lines(run, now, TEXT_WIDTH),
         training::lines(run, TEXT_WIDTH),
         actors::lines(run, now, usize::MAX),

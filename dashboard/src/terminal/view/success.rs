@@ -13,7 +13,7 @@ use crate::run_view::RunView;
 
 /// Formats the newest evaluation in lines of `width` characters.
 pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'static>> {
-    let Some(heard) = run.evaluation() else {
+    let Some(heard) = &run.evaluation else {
         return vec![heading("Success: no evaluation so far".to_owned())];
     };
     let summary = &heard.value;
@@ -59,7 +59,7 @@ fn group(group: &EvalGroup) -> Line<'static> {
 /// Lists all blueprints of the newest evaluation: heading and column names, and the rows in this order.
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let mut blueprints = run.evaluated_blueprints();
-    let evaluated = run.evaluation().map_or_else(String::new, |heard| {
+    let evaluated = run.evaluation.as_ref().map_or_else(String::new, |heard| {
         let version = heard.value.weights_version.0;
         match n_so_far(&heard.value) {
             None => format!(": weights {version}, evaluated {}", age(now, heard.at)),

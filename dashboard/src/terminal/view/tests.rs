@@ -8,8 +8,9 @@ use super::*;
 use crate::run_view::SessionState;
 use crate::samples;
 
-fn source() -> Source {
-    Source { run: "two-blocks".to_owned(), endpoints: vec!["tcp/127.0.0.1:7447".to_owned()] }
+fn config() -> BusConfig {
+    let (run, connect) = ("two-blocks".to_owned(), vec!["tcp/127.0.0.1:7447".to_owned()]);
+    BusConfig { run, connect, ..BusConfig::default() }
 }
 
 fn seconds(seconds: u64) -> Duration {
@@ -39,7 +40,7 @@ fn screen(run: &RunView, now: Duration, width: u16, height: u16) -> Vec<String> 
 /// Like [`screen`], with the state of the controls.
 fn screen_of(run: &RunView, controls: &mut Controls, now: Duration, width: u16, height: u16) -> Vec<String> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal.draw(|frame| draw(frame, run, &source(), controls, now)).unwrap();
+    terminal.draw(|frame| draw(frame, run, &config(), controls, now)).unwrap();
     let buffer = terminal.backend().buffer();
     let symbol = |x, y| buffer.cell((x, y)).unwrap().symbol();
     let line = |y| (0..width).map(|x| symbol(x, y)).collect::<String>().trim_end().to_owned();
@@ -58,12 +59,12 @@ fn pressed(keys: &[KeyCode]) -> Controls {
 #[test]
 fn a_learner_that_cannot_save_says_so_and_has_learned_nothing_more() {
     let mut run = busy();
-    let n_values = |run: &RunView| run.trends().all().map(|(_, values)| values.len()).sum::<usize>();
+    let n_values = |run: &RunView| run.trends.all().map(|(_, values)| values.len()).sum::<usize>();
     let (before, mut learner) = (n_values(&run), samples::learner());
     learner.value["not_saved"] =
         serde_json::json!({ "since_unix_ms": 1_769_846_700_000_u64, "reason": "no\u{1b}[2J room" });
     assert!(run.take(&learner, seconds(32)));
-    let text = text(&run, &source(), seconds(33));
+    let text = text(&run, &config(), seconds(33));
     let line = "training waits: not saved since 2026-01-31 08:05 UTC: no\\u001b[2J room";
     assert_eq!(text.lines().nth(2), Some(line), "{text}");
     assert_eq!(n_values(&run), before);
@@ -112,7 +113,7 @@ fn an_evaluation_that_runs_is_shown_as_such_and_is_no_part_of_the_curve() {
     run.take(&part, seconds(40));
     let shown = screen(&run, seconds(42), 80, 24);
     assert!(shown.contains(&"Success in % so far, 160 of 320 episodes: weights 900, 3 276 800 steps".to_owned()));
-    let evaluated = run.trends().all().find(|(name, _)| *name == "success, evaluated").unwrap().1;
+    let evaluated = run.trends.all().find(|(name, _)| *name == "success, evaluated").unwrap().1;
     assert_eq!(evaluated, &[0.75]);
 }
 
@@ -155,7 +156,7 @@ fn draws_that_cannot_be_are_not_shown() {
         sample.value["proposals"]["kinds"][of][name] =
             if is_count { serde_json::json!(value as u64) } else { serde_json::json!(value) };
         let mut run = RunView::default();
-        assert!(!run.take(&sample, seconds(30)) && run.learner().is_none(), "{of} {name}");
+        assert!(!run.take(&sample, seconds(30)) && run.learner.is_none(), "{of} {name}");
     }
 }
 
@@ -232,7 +233,7 @@ fn names_from_the_bus_cannot_touch_the_terminal() {
     let mut evaluation = samples::evaluation();
     evaluation.value["groups"][0]["name"] = "\u{1b}]0;x\u{7}\n".into();
     run.take(&evaluation, seconds(21));
-    let text = text(&run, &source(), seconds(42));
+    let text = text(&run, &config(), seconds(42));
     assert!(text.contains("\n  \\u001b]0;x\\u0007\\n  "), "{text}");
     assert!(text.chars().all(|c| c == '\n' || !c.is_control()), "{text:?}");
 }
@@ -246,7 +247,7 @@ fn videos_that_were_not_made_are_listed() {
     });
     let mut run = RunView::default();
     run.take(&evaluation, seconds(21));
-    let text = text(&run, &source(), seconds(42));
+    let text = text(&run, &config(), seconds(42));
     assert!(text.contains("\n  evaluator: diverged 2  videos: dropped 2  videos: unrecorded 4"), "{text}");
 }
 
@@ -335,9 +336,9 @@ fn numbers_are_drawn_over_time() {
 fn other_runs_are_listed_where_nobody_is() {
     let mut run = RunView::default();
     run.set_session(&SessionState { is_connected: true, ..SessionState::default() }, seconds(1));
-    run.set_others(["paper", "quickstart"].map(str::to_owned).into());
+    run.others = ["paper", "quickstart"].map(str::to_owned).into();
     assert_eq!(screen(&run, seconds(3), 80, 24)[2], "Runs on this router: paper, quickstart; --run NAME watches one");
     let mut run = busy();
-    run.set_others(["paper".to_owned()].into());
+    run.others = ["paper".to_owned()].into();
     assert!(!screen(&run, seconds(3), 80, 24).iter().any(|line| line.contains("paper")));
 }

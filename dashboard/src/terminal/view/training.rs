@@ -10,7 +10,7 @@ use crate::run_view::{RunView, proposals};
 
 /// Formats the learner's newest metrics, fitted to `width` characters where lines can get long.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
-    let Some(heard) = run.learner() else {
+    let Some(heard) = &run.learner else {
         return vec![heading("Learning: no update so far".to_owned())];
     };
     let learner = &heard.value;
@@ -56,7 +56,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         )),
         plain(format!("  episodes    {ended}")),
     ];
-    lines.extend(run.sizes().text().map(|sizes| plain(format!("  by blocks   {sizes}"))));
+    lines.extend(run.sizes.text().map(|sizes| plain(format!("  by blocks   {sizes}"))));
     if let Some(proposals) = &learner.proposals {
         lines.extend(draws(proposals));
     }

@@ -24,7 +24,7 @@ const OVERVIEW: [&str; 3] = ["success, evaluated", "steps per second", "block ac
 pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let before = format!("  {:<NAME_WIDTH$} {:>9} {:>9} {:>9}  ", "", "now", "least", "most");
     let room = width.saturating_sub(before.len());
-    let rows = run.trends().all().map(|(name, values)| {
+    let rows = run.trends.all().map(|(name, values)| {
         let (least, most) = range(values);
         let now = values.back().copied().unwrap_or_default();
         let [now, least, most] = [now, least, most].map(number);
@@ -38,7 +38,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Lin
 /// Formats the main metrics in one line of `width` characters; `None` until one of them has two values.
 pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
     let trends: Vec<_> =
-        run.trends().all().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
+        run.trends.all().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
     let title = "  trend      ";
     let names: usize = trends.iter().map(|(name, _)| name.len() + 3).sum();
     let each = width.saturating_sub(title.len() + names) / trends.len().max(1);
