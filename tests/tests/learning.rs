@@ -18,8 +18,6 @@ impl Ring {
     fn config(preset: &str, change: impl FnOnce(&mut Config)) -> Valid<Config> {
         let preset = PRESETS.iter().find(|known| known.name == preset).unwrap();
         let mut config = Config::parse(preset.text, preset.name).unwrap();
-        // All segments of a step arrive at once, and segments that find the mailbox full are not sent again.
-        config.learner.mailbox.capacity_steps *= 2;
         change(&mut config);
         config.checked().unwrap()
     }
