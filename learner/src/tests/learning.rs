@@ -74,6 +74,14 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
     trajectories.into_iter().for_each(|t| learner.ingest(t).unwrap());
 }
 
+/// Returns a learner after one update on `n` episodes.
+fn updated(setup: &LearnerSetup, n: usize) -> Learner {
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    feed(&learner, bandit(setup, &learner.weights(), n, &mut ChaCha8Rng::seed_from_u64(3)));
+    learner.update_from_mailbox().unwrap();
+    learner
+}
+
 #[test]
 fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
@@ -109,14 +117,7 @@ fn update_needs_a_full_batch() {
 
 #[test]
 fn weights_depend_on_the_seed_alone() {
-    let weights = |seed| {
-        let setup = small_setup(seed);
-        let mut learner = Learner::new(setup.clone()).unwrap();
-        let trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
-        feed(&learner, trajectories);
-        learner.update_from_mailbox().unwrap();
-        learner.weights()
-    };
+    let weights = |seed| updated(&small_setup(seed), 256).weights();
     assert_eq!(weights(1), weights(1));
     assert_ne!(weights(1).parameters, weights(2).parameters);
 }
@@ -132,11 +133,7 @@ fn weights_are_independent_of_the_number_of_threads() {
                 (c.batch_size, c.minibatch_size, c.n_threads) = (4 * PIECE_SIZE, 4 * PIECE_SIZE, Some(n_threads));
             })
             .unwrap();
-        let mut learner = Learner::new(setup.clone()).unwrap();
-        let trajectories = bandit(&setup, &learner.weights(), 4 * PIECE_SIZE, &mut ChaCha8Rng::seed_from_u64(3));
-        feed(&learner, trajectories);
-        learner.update_from_mailbox().unwrap();
-        learner.weights()
+        updated(&setup, 4 * PIECE_SIZE).weights()
     };
     assert_eq!(weights(1), weights(3));
 }
@@ -174,10 +171,7 @@ fn gradient_step_that_is_not_finite_is_skipped() {
 
 #[test]
 fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_network() {
-    let mut learner = Learner::new(small_setup(1)).unwrap();
-    let trajectories = bandit(&small_setup(1), &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5));
-    feed(&learner, trajectories);
-    learner.update_from_mailbox().unwrap();
+    let learner = updated(&small_setup(1), 256);
     let model = Model::from(&learner.checkpoint());
     let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
     setup.policy = setup.policy.with(|c| c.network.init_std = Some(0.1)).unwrap();
