@@ -2,10 +2,10 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
-//! [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), `connections` and [`endings`] (how episodes end) → [`table`]
-//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). [`videos`]
-//! records videos in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
-//! episode for display, and [`record()`] records many.
+//! [`episodes`] and `reset_free` (what is run) → `follower` (callbacks), `connections` and [`endings`] (how episodes
+//! end) → [`table`] (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the
+//! bus). `videos` records videos in every evaluation, [`expert`] evaluates the scripted expert in the same way,
+//! [`perform`] plays one episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -23,7 +23,7 @@ pub mod record;
 mod recording;
 mod records;
 pub mod report;
-pub mod reset_free;
+mod reset_free;
 mod run;
 mod schedule;
 mod sequences;
@@ -31,7 +31,7 @@ pub mod setup;
 pub mod table;
 pub mod trials;
 mod validation;
-pub mod videos;
+mod videos;
 
 pub use best::{Scored, Verdict};
 pub use config::{

@@ -23,7 +23,7 @@ const MAX_RECORDING: usize = 256;
 /// It is not known in advance which episodes will succeed, so all episodes that may be needed are recorded, and most
 /// recordings are discarded.
 #[derive(Debug)]
-pub struct EpisodeSelector {
+pub(crate) struct EpisodeSelector {
     weights: Arc<Weights>,
     acting: ActionMode,
     open: Mutex<Open>,
