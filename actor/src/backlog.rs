@@ -10,7 +10,7 @@ use crate::FullBacklog;
 
 /// Segments waiting to be sent, oldest first.
 #[derive(Debug)]
-pub struct Backlog {
+pub(crate) struct Backlog {
     limit: usize,
     when_full: FullBacklog,
     state: Mutex<State>,
@@ -23,14 +23,13 @@ pub struct Backlog {
 #[derive(Debug, Default)]
 struct State {
     segments: VecDeque<Trajectory>,
-    /// Number of the next segment.
     next_seq: u64,
     closed: bool,
 }
 
 impl Backlog {
     /// Creates an empty backlog for `limit` segments, at least 1.
-    pub fn new(limit: usize, when_full: FullBacklog) -> Self {
+    pub(crate) fn new(limit: usize, when_full: FullBacklog) -> Self {
         Self { limit: limit.max(1), when_full, state: Mutex::default(), filled: Notify::new(), emptied: Condvar::new() }
     }
 
@@ -41,18 +40,15 @@ impl Backlog {
     ///
     /// If the backlog is full, this drops the oldest segment, or blocks the thread until there is room or the backlog
     /// is closed. Returns how many segments were dropped.
-    pub fn push(&self, mut segment: Trajectory) -> u64 {
-        let mut state = self.lock();
+    pub(crate) fn push(&self, mut segment: Trajectory) -> u64 {
+        let mut state = self.state.lock();
         while self.when_full == FullBacklog::Pause && !state.closed && state.segments.len() >= self.limit {
             self.emptied.wait(&mut state);
         }
         segment.seq = state.next_seq;
         state.next_seq += 1;
         state.segments.push_back(segment);
-        let n_dropped = self.shed(&mut state);
-        drop(state);
-        self.filled.notify_one();
-        n_dropped
+        self.shed(state)
     }
 
     /// Puts back a segment that could not be sent. It is the oldest again, and the first to be dropped if there is no
@@ -60,20 +56,17 @@ impl Backlog {
     ///
     /// A pausing backlog drops nothing and exceeds its limit by the segments that senders had taken. Returns how many
     /// segments were dropped.
-    pub fn put_back(&self, segment: Trajectory) -> u64 {
-        let mut state = self.lock();
+    pub(crate) fn put_back(&self, segment: Trajectory) -> u64 {
+        let mut state = self.state.lock();
         state.segments.push_front(segment);
-        let n_dropped = self.shed(&mut state);
-        drop(state);
-        self.filled.notify_one();
-        n_dropped
+        self.shed(state)
     }
 
     /// Removes and returns the oldest segment, waiting for one; `None` once the backlog is closed and empty.
-    pub async fn pop(&self) -> Option<Trajectory> {
+    pub(crate) async fn pop(&self) -> Option<Trajectory> {
         loop {
             {
-                let mut state = self.lock();
+                let mut state = self.state.lock();
                 let segment = state.segments.pop_front();
                 if segment.is_some() || state.closed {
                     let more = !state.segments.is_empty() || state.closed;
@@ -91,46 +84,34 @@ impl Backlog {
     }
 
     /// Closes the backlog: receivers get the remaining segments and then `None`.
-    pub fn close(&self) {
-        self.lock().closed = true;
+    pub(crate) fn close(&self) {
+        self.state.lock().closed = true;
         self.filled.notify_one();
         self.emptied.notify_all();
     }
 
-    /// Returns whether [`Backlog::close`] was called.
-    pub fn is_closed(&self) -> bool {
-        self.lock().closed
-    }
-
-    /// Returns the number of waiting segments.
-    pub fn len(&self) -> usize {
-        self.lock().segments.len()
-    }
-
-    /// Returns whether no segments are waiting.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+    pub(crate) fn is_closed(&self) -> bool {
+        self.state.lock().closed
     }
 
     /// Drops all waiting segments and returns their number.
-    pub fn clear(&self) -> u64 {
-        let segments = std::mem::take(&mut self.lock().segments);
+    pub(crate) fn clear(&self) -> u64 {
+        let segments = std::mem::take(&mut self.state.lock().segments);
         self.emptied.notify_all();
         segments.len() as u64
     }
 
-    fn shed(&self, state: &mut State) -> u64 {
-        if self.when_full == FullBacklog::Pause {
-            return 0;
-        }
-        let n_too_many = state.segments.len().saturating_sub(self.limit);
-        state.segments.drain(..n_too_many);
-        n_too_many as u64
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // Every statement leaves the state consistent, so a panic elsewhere does no harm.
-        self.state.lock()
+    /// Drops the oldest segments beyond the limit, unless the backlog pauses, and wakes a sender. Returns how many
+    /// segments were dropped.
+    fn shed(&self, mut state: MutexGuard<'_, State>) -> u64 {
+        let n_dropped = match self.when_full {
+            FullBacklog::Pause => 0,
+            FullBacklog::DropOldest => state.segments.len().saturating_sub(self.limit),
+        };
+        state.segments.drain(..n_dropped);
+        drop(state);
+        self.filled.notify_one();
+        n_dropped as u64
     }
 }
 
@@ -138,26 +119,8 @@ impl Backlog {
 mod tests {
     use std::sync::Arc;
 
-    use proto::{Status, WeightsVersion};
-
     use super::*;
-    use crate::segment::{Cut, SegmentBuilder};
-    use crate::toy;
-
-    fn segment() -> Trajectory {
-        let mut rollout = SegmentBuilder::new(1, toy::task());
-        let transition = proto::Transition {
-            scene: toy::scene(),
-            action: proto::Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
-            proposals: [None; 2],
-            behavior_log_prob: 0.0,
-            reward: Default::default(),
-            disturbance: None,
-        };
-        let cut = rollout.push(transition, WeightsVersion(0), &toy::scene(), Status::Running, &toy::identity());
-        let Cut::Segment(segment) = cut else { panic!("a segment of one step is complete") };
-        *segment
-    }
+    use crate::toy::trajectory;
 
     async fn drain(backlog: &Backlog) -> Vec<u64> {
         backlog.close();
@@ -171,11 +134,11 @@ mod tests {
     #[tokio::test]
     async fn the_newest_segments_are_kept_and_the_others_counted() {
         let backlog = Backlog::new(3, FullBacklog::DropOldest);
-        let n_dropped: u64 = (0..5).map(|_| backlog.push(segment())).sum();
-        assert_eq!((n_dropped, backlog.len()), (2, 3));
+        let n_dropped: u64 = (0..5).map(|_| backlog.push(trajectory())).sum();
+        assert_eq!((n_dropped, backlog.state.lock().segments.len()), (2, 3));
         // A segment that is put back is the oldest, so it is dropped if its place was taken in the meantime.
         let taken = backlog.pop().await.unwrap();
-        assert_eq!((taken.seq, backlog.push(segment())), (2, 0));
+        assert_eq!((taken.seq, backlog.push(trajectory())), (2, 0));
         assert_eq!(backlog.put_back(taken), 1);
         assert_eq!(drain(&backlog).await, [3, 4, 5]);
     }
@@ -183,7 +146,7 @@ mod tests {
     #[tokio::test]
     async fn a_segment_that_comes_back_is_sent_first() {
         let backlog = Backlog::new(3, FullBacklog::DropOldest);
-        (0..3).for_each(|_| assert_eq!(backlog.push(segment()), 0));
+        (0..3).for_each(|_| assert_eq!(backlog.push(trajectory()), 0));
         let taken = backlog.pop().await.unwrap();
         assert_eq!(backlog.put_back(taken), 0);
         assert_eq!(drain(&backlog).await, [0, 1, 2]);
@@ -193,7 +156,7 @@ mod tests {
     async fn a_pausing_backlog_drops_nothing() {
         let backlog = Arc::new(Backlog::new(2, FullBacklog::Pause));
         let pushing = backlog.clone();
-        let thread = tokio::task::spawn_blocking(move || (0..20).map(|_| pushing.push(segment())).sum::<u64>());
+        let thread = tokio::task::spawn_blocking(move || (0..20).map(|_| pushing.push(trajectory())).sum::<u64>());
         let mut seqs = Vec::new();
         while seqs.len() < 20 {
             seqs.push(backlog.pop().await.unwrap().seq);
@@ -208,7 +171,7 @@ mod tests {
         std::thread::scope(|scope| {
             for n_segments in [100, 300] {
                 let backlog = &backlog;
-                scope.spawn(move || (0..n_segments).for_each(|_| assert_eq!(backlog.push(segment()), 0)));
+                scope.spawn(move || (0..n_segments).for_each(|_| assert_eq!(backlog.push(trajectory()), 0)));
             }
         });
         assert_eq!(drain(&backlog).await, (0..400).collect::<Vec<_>>());
@@ -217,9 +180,9 @@ mod tests {
     #[tokio::test]
     async fn closing_wakes_a_paused_thread() {
         let backlog = Arc::new(Backlog::new(1, FullBacklog::Pause));
-        backlog.push(segment());
+        backlog.push(trajectory());
         let pushing = backlog.clone();
-        let thread = tokio::task::spawn_blocking(move || pushing.push(segment()));
+        let thread = tokio::task::spawn_blocking(move || pushing.push(trajectory()));
         backlog.close();
         thread.await.unwrap();
         assert_eq!(drain(&backlog).await, [0, 1]);

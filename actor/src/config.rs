@@ -42,11 +42,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_defaults_are_valid() {
-        assert_eq!(Valid::new(ActorConfig::default()).err(), None);
-    }
-
-    #[test]
     fn an_error_names_field_value_and_range() {
         let table: [(ActorConfig, &str); 4] = [
             (ActorConfig { n_threads: 0, ..Default::default() }, "actor.n_threads = 0: expected 1..=64"),

@@ -11,7 +11,6 @@ pub struct Lockstep {
     setup: ActorSetup,
     /// Created with the first weights.
     rollout: Option<Rollout<World>>,
-    /// Number of the next segment.
     next_seq: u64,
 }
 

@@ -41,9 +41,7 @@ impl RolloutSetup {
     pub(crate) fn check(&self, weights: &Weights) -> Result<(), PolicyError> {
         policy::check_settings(weights.version, &weights.settings, &self.settings)
     }
-}
 
-impl RolloutSetup {
     /// Creates the setup for an actor's rollout.
     pub fn new(setup: &ActorSetup, identity: Identity) -> Self {
         let ActorSetup { config, policy, seed, catalog, .. } = setup;

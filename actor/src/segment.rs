@@ -20,7 +20,7 @@ pub struct Identity {
 /// A segment ends after `segment_len` steps or with the episode. If the episode diverges, only the steps since the last
 /// cut are dropped. Earlier segments may already have been sent; they ended in valid scenes.
 #[derive(Clone, Debug)]
-pub struct SegmentBuilder {
+pub(crate) struct SegmentBuilder {
     segment_len: usize,
     task: Task,
     transitions: Vec<Transition>,
@@ -34,7 +34,7 @@ pub struct SegmentBuilder {
 
 /// Result of adding a step.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Cut {
+pub(crate) enum Cut {
     /// No segment is complete yet.
     None,
     /// A segment, which gets its number where those of all threads meet.
@@ -48,7 +48,7 @@ pub enum Cut {
 
 impl SegmentBuilder {
     /// Creates a builder at the start of an episode of `task`; `segment_len` is in steps, at least 1.
-    pub fn new(segment_len: usize, task: Task) -> Self {
+    pub(crate) fn new(segment_len: usize, task: Task) -> Self {
         Self {
             segment_len: segment_len.max(1),
             task,
@@ -59,15 +59,10 @@ impl SegmentBuilder {
         }
     }
 
-    /// Returns the goal and start of the episode.
-    pub fn task(&self) -> &Task {
-        &self.task
-    }
-
     /// Adds a step that led to `after` with `status`, acted with weights `version`.
     ///
     /// A segment that this completes is of `identity` and has number 0.
-    pub fn push(
+    pub(crate) fn push(
         &mut self,
         transition: Transition,
         version: WeightsVersion,
@@ -114,20 +109,13 @@ impl SegmentBuilder {
 
 #[cfg(test)]
 mod tests {
-    use proto::Action;
-
     use super::*;
     use crate::toy;
 
     fn transition(connected: f32) -> Transition {
-        Transition {
-            scene: toy::scene(),
-            action: Action { choices: [None; 2], moves: [[0.0; 6]; 16] },
-            proposals: [None; 2],
-            behavior_log_prob: -1.0,
-            reward: RewardTerms { connected, ..RewardTerms::default() },
-            disturbance: None,
-        }
+        let mut transition = toy::trajectory().transitions.remove(0);
+        transition.reward.connected = connected;
+        transition
     }
 
     /// Pushes steps `(reward, version, status)` into segments of 3 and returns what they complete.

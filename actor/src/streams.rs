@@ -7,28 +7,22 @@ use rand::RngExt;
 
 /// What distinguishes an actor's life from all others in a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Life {
-    /// Seed of the run.
-    pub run_seed: u64,
-    /// Name of the actor.
-    pub actor: ActorId,
+pub(crate) struct Life {
+    pub(crate) run_seed: u64,
+    pub(crate) actor: ActorId,
     /// Start time of the process, ms since 1970.
-    pub epoch: u64,
+    pub(crate) epoch: u64,
     /// Version of its first weights, so that a resumed run does not repeat itself.
-    pub version: WeightsVersion,
+    pub(crate) version: WeightsVersion,
 }
 
 impl Life {
-    /// Returns the seed of all its tasks and actions.
-    pub fn seed(&self) -> u64 {
+    /// Returns the seed of all tasks and actions of one of its threads.
+    pub(crate) fn thread_seed(&self, thread_idx: usize) -> u64 {
         // The name comes last because its length varies, so no two lives give the same bytes.
         let numbers = [self.run_seed, self.epoch, self.version.0].map(u64::to_le_bytes);
-        fnv1a(numbers.into_iter().flatten().chain(self.actor.as_str().bytes()))
-    }
-
-    /// Returns the seed of one of its threads.
-    pub fn thread_seed(&self, thread_idx: usize) -> u64 {
-        generator(self.seed(), thread_idx as u64).random()
+        let seed = fnv1a(numbers.into_iter().flatten().chain(self.actor.as_str().bytes()));
+        generator(seed, thread_idx as u64).random()
     }
 }
 

@@ -16,14 +16,12 @@ pub(crate) struct Toy {
     n_steps: usize,
     scene: Scene,
     blueprint: Blueprint,
-    /// Tasks that were started.
-    pub(crate) tasks: Vec<Task>,
 }
 
 impl Toy {
     pub(crate) fn new(script: &[Status]) -> Self {
         let blueprint = Catalog::builtin().get(&id("2_000")).unwrap().clone();
-        Self { script: script.to_vec(), n_steps: 0, scene: scene(), blueprint, tasks: Vec::new() }
+        Self { script: script.to_vec(), n_steps: 0, scene: scene(), blueprint }
     }
 }
 
@@ -31,7 +29,6 @@ impl Env for Toy {
     fn reset(&mut self, task: &Task, catalog: &Catalog) -> Result<(), ResetError> {
         let unknown = || ResetError::UnknownBlueprint(task.blueprint.clone());
         self.blueprint = catalog.find(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
-        self.tasks.push(task.clone());
         Ok(())
     }
 

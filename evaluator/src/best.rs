@@ -77,28 +77,19 @@ impl fmt::Display for Verdict {
 #[cfg(test)]
 mod tests {
     use blueprints::Catalog;
-    use proto::{RewardTerms, WeightsVersion};
+    use proto::WeightsVersion;
 
     use super::*;
-    use crate::report::{End, EpisodeResult, summarize};
-
-    fn goal(id: &str) -> &'static Blueprint {
-        Catalog::builtin().get(&id.parse().unwrap()).unwrap()
-    }
+    use crate::report::tests::{episode, goal};
+    use crate::report::{End, summarize};
 
     /// A report of one episode for each of these goals and outcomes.
     fn report(episodes: &[(&str, ActionMode, bool)]) -> EvalReport {
-        let episode = |&(id, acting, is_success): &(&str, ActionMode, bool)| EpisodeResult {
-            blueprint: goal(id).id().clone(),
-            split: goal(id).split(),
-            n_blocks: goal(id).n_blocks(),
-            acting,
-            end: if is_success { End::Success { stable: true } } else { End::TimeLimit },
-            n_steps: 9,
-            episode_return: RewardTerms::default(),
-            forced_reset: false,
+        let result = |&(id, acting, is_success): &(&str, ActionMode, bool)| {
+            let end = if is_success { End::Success { stable: true } } else { End::TimeLimit };
+            episode(id, acting, end, 9)
         };
-        summarize(WeightsVersion(3), 300, &episodes.iter().map(episode).collect::<Vec<_>>())
+        summarize(WeightsVersion(3), 300, &episodes.iter().map(result).collect::<Vec<_>>())
     }
 
     #[test]

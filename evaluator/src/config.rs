@@ -245,36 +245,26 @@ mod tests {
 
     #[test]
     fn an_error_names_field_value_and_range() {
-        let twice = EpisodeConfig { acting: vec![ActionMode::Greedy, ActionMode::Greedy], ..Default::default() };
-        let table = [
+        type Spoil = fn(&mut EvaluatorConfig);
+        let table: [(Spoil, &str); 5] = [
+            (|c| c.every = Every::Steps(0), "evaluator.every.steps = 0: expected at least 1"),
+            (|c| c.every = Every::Minutes(f64::NAN), "evaluator.every.minutes = NaN: expected 0..=10000"),
             (
-                EvaluatorConfig { every: Every::Steps(0), ..Default::default() },
-                "evaluator.every.steps = 0: expected at least 1",
-            ),
-            (
-                EvaluatorConfig { every: Every::Minutes(f64::NAN), ..Default::default() },
-                "evaluator.every.minutes = NaN: expected 0..=10000",
-            ),
-            (
-                EvaluatorConfig { episodes: twice, ..Default::default() },
+                |c| c.episodes.acting = vec![ActionMode::Greedy; 2],
                 "evaluator.episodes.acting = [\"greedy\", \"greedy\"]: expected \"greedy\", \"sampled\" or both",
             ),
             (
-                EvaluatorConfig {
-                    reset_free: Some(ResetFreeConfig { n_goals: 0, ..Default::default() }),
-                    ..Default::default()
-                },
+                |c| c.reset_free = Some(ResetFreeConfig { n_goals: 0, ..Default::default() }),
                 "evaluator.reset_free.n_goals = 0: expected 1..=1000",
             ),
             (
-                EvaluatorConfig {
-                    videos: VideosConfig { groups: vec![Group::Train2To6; 2], ..Default::default() },
-                    ..Default::default()
-                },
+                |c| c.videos.groups = vec![Group::Train2To6; 2],
                 "evaluator.videos.groups = [\"train 2-6\", \"train 2-6\"]: expected names of groups, none twice",
             ),
         ];
-        for (config, message) in table {
+        for (spoil, message) in table {
+            let mut config = EvaluatorConfig::default();
+            spoil(&mut config);
             assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
         }
     }

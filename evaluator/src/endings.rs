@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use blueprints::Blueprint;
 use environment::Step;
 use nalgebra::Vector3;
 use parking_lot::Mutex;
@@ -10,6 +9,7 @@ use policy::proposals::Slot;
 use proto::{ActionMode, Observation, Scene};
 use serde::{Deserialize, Serialize};
 
+use crate::connections::Connections;
 use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
@@ -38,12 +38,6 @@ pub enum Ending {
     Stuck,
     /// Time ran out while connections were still being made.
     Time,
-}
-
-impl Ending {
-    /// All endings, in the order of the table.
-    pub const ALL: [Self; 7] =
-        [Self::Built, Self::Diverged, Self::Still, Self::Wrong, Self::Misplaced, Self::Stuck, Self::Time];
 }
 
 /// How the episodes with goals of one size ended.
@@ -83,10 +77,8 @@ impl Endings {
 pub(crate) struct EpisodeRecord {
     /// Positions of the goal's blocks in the last scenes, oldest first.
     recent: VecDeque<Vec<Vector3<f32>>>,
-    n_right: u32,
-    steps_since_gain: u32,
-    has_wrong: bool,
-    found: SizeEndings,
+    connections: Connections,
+    draws: BTreeMap<String, u64>,
 }
 
 impl<A> EpisodeObserver<A> for Option<&Endings> {
@@ -95,10 +87,8 @@ impl<A> EpisodeObserver<A> for Option<&Endings> {
     fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<EpisodeRecord> {
         self.map(|_| EpisodeRecord {
             recent: VecDeque::new(),
-            n_right: n_right(start.scene, start.blueprint),
-            steps_since_gain: 0,
-            has_wrong: false,
-            found: SizeEndings::default(),
+            connections: Connections::new(start),
+            draws: BTreeMap::new(),
         })
     }
 
@@ -106,37 +96,31 @@ impl<A> EpisodeObserver<A> for Option<&Endings> {
         record.note(&step, after);
     }
 
-    fn end(&self, mut record: EpisodeRecord, spec: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
+    fn end(&self, record: EpisodeRecord, spec: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
         let Some(endings) = self else { return };
-        *record.found.endings.entry(record.ending(result.end)).or_default() += 1;
-        let acting = match result.acting {
-            ActionMode::Greedy => "greedy",
-            ActionMode::Sampled => "sampled",
+        let Connections { n_wrong, n_broken, n_missing, .. } = record.connections;
+        let found = SizeEndings {
+            endings: [(record.ending(result.end), 1)].into(),
+            n_wrong: n_wrong.into(),
+            n_broken: n_broken.into(),
+            n_missing: n_missing.into(),
+            draws: record.draws,
         };
-        endings.0.lock().entry((acting, spec.n_blocks)).or_default().add(record.found);
+        endings.0.lock().entry((result.acting.name(), spec.n_blocks)).or_default().add(found);
     }
 }
 
 impl EpisodeRecord {
-    fn note(&mut self, step: &Step, Observation { scene, blueprint, .. }: Observation<'_>) {
-        let before = &step.scene;
-        let new = scene.joints.iter().filter(|joint| !before.joints.contains(joint));
-        self.found.n_wrong += new.filter(|joint| !joint.is_right(blueprint)).count() as u64;
-        let lost = before.joints.iter().filter(|joint| !scene.joints.contains(joint));
-        self.found.n_broken += lost.filter(|joint| joint.is_right(blueprint)).count() as u64;
+    fn note(&mut self, step: &Step, after: Observation<'_>) {
+        self.connections.note(&step.scene, after);
         for slot in step.decision.proposals.iter().flatten().filter_map(|&slot| Slot::from_index(slot)) {
-            *self.found.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
+            *self.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
         }
-        let n_right = n_right(scene, blueprint);
-        self.found.n_missing = blueprint.links().len() as u64 - u64::from(n_right);
-        self.has_wrong = scene.joints.len() as u32 > n_right;
-        self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
-        self.n_right = n_right;
         if self.recent.len() > STILL_STEPS {
             self.recent.pop_front();
         }
-        let places = blueprint.placements().iter();
-        self.recent.push_back(places.map(|p| Vector3::from(scene.blocks[p.block.get()].position)).collect());
+        let places = after.blueprint.placements().iter();
+        self.recent.push_back(places.map(|p| Vector3::from(after.scene.blocks[p.block.get()].position)).collect());
     }
 
     fn ending(&self, end: End) -> Ending {
@@ -144,9 +128,9 @@ impl EpisodeRecord {
             End::Success { .. } => Ending::Built,
             End::Diverged => Ending::Diverged,
             End::TimeLimit if self.is_still() => Ending::Still,
-            End::TimeLimit if self.has_wrong => Ending::Wrong,
-            End::TimeLimit if self.found.n_missing == 0 => Ending::Misplaced,
-            End::TimeLimit if self.steps_since_gain >= STUCK_STEPS => Ending::Stuck,
+            End::TimeLimit if self.connections.n_wrong_left > 0 => Ending::Wrong,
+            End::TimeLimit if self.connections.n_missing == 0 => Ending::Misplaced,
+            End::TimeLimit if self.connections.steps_since_gain >= STUCK_STEPS => Ending::Stuck,
             End::TimeLimit => Ending::Time,
         }
     }
@@ -165,8 +149,4 @@ impl SizeEndings {
         self.n_broken += other.n_broken;
         self.n_missing += other.n_missing;
     }
-}
-
-fn n_right(scene: &Scene, blueprint: &Blueprint) -> u32 {
-    scene.joints.iter().filter(|joint| joint.is_right(blueprint)).count() as u32
 }

@@ -34,7 +34,7 @@ pub fn evaluate(
     blueprints: &[&Blueprint],
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
-    let follower = Follower { keep_going, on_episode: &|_| {} };
+    let follower = Follower { keep_going, ..Follower::default() };
     let report = evaluate_followed(setup, policy, weights, blueprints, &follower, None)?;
     if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
 }

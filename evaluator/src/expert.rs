@@ -4,11 +4,12 @@ mod diary;
 
 use blueprints::{Blueprint, BlueprintId, Group, Split};
 use environment::ExpertAgent;
+use parking_lot::Mutex;
 use proto::metrics::{EvalOutcome, EvalReport, EvalRuns};
 use proto::{ActionMode, Trajectory, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
-use crate::follower::{Both, Follower, Tally};
+use crate::follower::{Both, Follower};
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
@@ -80,23 +81,9 @@ pub struct ExpertResetFree {
     pub runs: EvalRuns,
 }
 
-/// Evaluates the expert on `blueprints`, followed by reset-free runs if the setup has any. Start states are those of a
-/// policy's evaluation with the same seed. The setup's action modes are ignored. `keep_going` is called at every step.
-///
-/// # Errors
-/// If the world cannot be created, an episode cannot be started, or `keep_going` returns false.
-pub fn evaluate_expert(
-    setup: &EvalSetup<'_>,
-    blueprints: &[&Blueprint],
-    keep_going: &(dyn Fn() -> bool + Sync),
-) -> Result<ExpertReport, EvalError> {
-    let follower = Follower { keep_going, on_episode: &|_| {} };
-    let report = evaluate_expert_followed(setup, blueprints, &follower)?;
-    if report.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
-}
-
-/// Like [`evaluate_expert`], but calls `follower` for each episode, and returns an incomplete report when `keep_going`
-/// returns false.
+/// Evaluates the expert on `blueprints`, followed by reset-free runs if the setup has any, and calls `follower` for each
+/// episode. Start states are those of a policy's evaluation with the same seed. The setup's action modes are ignored.
+/// Returns an incomplete report when `keep_going` returns false.
 ///
 /// # Errors
 /// If the world cannot be created or an episode cannot be started.
@@ -110,10 +97,15 @@ pub fn evaluate_expert_followed(
         (0..u64::from(setup.episodes.n_episodes)).map(spec).collect()
     };
     let sequences: Vec<Vec<EpisodeSpec>> = blueprints.iter().map(|blueprint| sequence(blueprint)).collect();
-    let (diaries, tally) = (Diaries::default(), Tally::default());
+    let diaries = Diaries::default();
+    let ended_episodes = Mutex::new(Vec::new());
+    let on_episode = |episode: &EpisodeResult| {
+        ended_episodes.lock().push(episode.clone());
+        (follower.on_episode)(episode);
+    };
+    let counting = Follower { on_episode: &on_episode, keep_going: follower.keep_going };
     let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-    let progress = Both(&tally, follower);
-    let observer = Some(&Both(&diaries, &progress));
+    let observer = Some(&Both(&diaries, &counting));
     let pool = EvaluationPool { setup, agent: &agent, observer, progress: None, keep_going: follower.keep_going };
     let runs = |config| reset_free::evaluate(&pool, config, &[ActionMode::Greedy]);
     let (episodes, ended) = pool.run(&sequences, ActionMode::Greedy);
@@ -123,7 +115,7 @@ pub fn evaluate_expert_followed(
     });
     let (episodes, reset_free, is_complete) = match played {
         Ok((episodes, reset_free)) => (episodes, reset_free, true),
-        Err(EvalError::Interrupted) => (tally.into_episodes(), None, false),
+        Err(EvalError::Interrupted) => (ended_episodes.into_inner(), None, false),
         Err(error) => return Err(error),
     };
     let reset_free = reset_free.map(|r| ExpertResetFree { n_runs: r.n_runs, n_goals: r.n_goals, runs: r.greedy });

@@ -1,7 +1,6 @@
 //! Callbacks that follow an evaluation and can interrupt it.
 
 use environment::Step;
-use parking_lot::Mutex;
 use proto::{ActionMode, Agent, Observation, Scene};
 
 use crate::report::EpisodeResult;
@@ -15,6 +14,13 @@ pub struct Follower<'a> {
     pub on_episode: &'a (dyn Fn(&EpisodeResult) + Sync),
 }
 
+impl Default for Follower<'_> {
+    /// Never interrupts, and ignores the results.
+    fn default() -> Self {
+        Self { keep_going: &|| true, on_episode: &|_| {} }
+    }
+}
+
 impl<A: Agent> EpisodeObserver<A> for Follower<'_> {
     type Record = ();
 
@@ -26,33 +32,6 @@ impl<A: Agent> EpisodeObserver<A> for Follower<'_> {
 
     fn end(&self, (): (), _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
         (self.on_episode)(result);
-    }
-}
-
-/// Collects episode results in the order in which the episodes end.
-#[derive(Default)]
-pub(crate) struct Tally {
-    episodes: Mutex<Vec<EpisodeResult>>,
-}
-
-impl Tally {
-    /// Returns all collected results.
-    pub(crate) fn into_episodes(self) -> Vec<EpisodeResult> {
-        self.episodes.into_inner()
-    }
-}
-
-impl<A: Agent> EpisodeObserver<A> for Tally {
-    type Record = ();
-
-    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<()> {
-        Some(())
-    }
-
-    fn observe(&self, (): &mut (), _: Step, _: &A, _: usize, _: Observation<'_>) {}
-
-    fn end(&self, (): (), _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
-        self.episodes.lock().push(result.clone());
     }
 }
 

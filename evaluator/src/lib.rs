@@ -2,15 +2,16 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
-//! [`episodes`] and [`reset_free`] (what is run) → `follower` (callbacks), [`endings`] (how episodes end) → [`table`]
-//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). [`videos`]
-//! records videos in every evaluation, [`expert`] evaluates the scripted expert in the same way, [`perform`] plays one
-//! episode for display, and [`record()`] records many.
+//! [`episodes`] and `reset_free` (what is run) → `follower` (callbacks), `connections` and [`endings`] (how episodes
+//! end) → [`table`] (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the
+//! bus). `videos` records videos in every evaluation, [`expert`] evaluates the scripted expert in the same way,
+//! [`perform`] plays one episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod best;
 pub mod config;
+mod connections;
 pub mod endings;
 pub mod episodes;
 pub mod expert;
@@ -22,7 +23,7 @@ pub mod record;
 mod recording;
 mod records;
 pub mod report;
-pub mod reset_free;
+mod reset_free;
 mod run;
 mod schedule;
 mod sequences;
@@ -30,7 +31,7 @@ pub mod setup;
 pub mod table;
 pub mod trials;
 mod validation;
-pub mod videos;
+mod videos;
 
 pub use best::{Scored, Verdict};
 pub use config::{
@@ -39,7 +40,7 @@ pub use config::{
 pub use endings::{Ending, Endings, SizeEndings};
 pub use environment::EnvironmentConfig;
 pub use episodes::{evaluate, evaluate_followed};
-pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert, evaluate_expert_followed};
+pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert_followed};
 pub use follower::Follower;
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};

@@ -1,17 +1,14 @@
 //! Plays one episode on demand and records it for display.
 
 use blueprints::{Blueprint, Catalog};
-use environment::{EnvironmentConfig, ExpertAgent, Step, World};
+use environment::{EnvironmentConfig, ExpertAgent, World};
 use parking_lot::Mutex;
 use policy::{Policy, PolicyConfig};
-use proto::{
-    ActionMode, ActorId, Agent, BehaviorPolicy, Disturbance, Observation, Scene, Start, Trajectory, Valid, Weights,
-    WeightsVersion,
-};
+use proto::{ActionMode, Agent, Disturbance, Start, Trajectory, Valid, Weights};
 
-use crate::recording::Recording;
+use crate::recording::{Credits, Recorder};
 use crate::report::EpisodeResult;
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place, Rules, run_sequences};
+use crate::sequences::{EpisodeSpec, Rules, run_sequences};
 use crate::setup::EvalError;
 
 /// The agent that acts in an episode.
@@ -50,11 +47,11 @@ pub fn perform(
     performer: Performer<'_>,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Trajectory>, EvalError> {
-    let witness = Witness { credits: Credits::of(performer, performance.acting), seen: Mutex::default() };
+    let credits = performer.credits(performance.acting);
     match performer {
-        Performer::Expert => run(performance, ExpertAgent::new(performance.environment), witness, keep_going),
+        Performer::Expert => run(performance, ExpertAgent::new(performance.environment), credits, keep_going),
         Performer::Policy(config, weights) => {
-            run(performance, Policy::with_weights(config, weights)?, witness, keep_going)
+            run(performance, Policy::with_weights(config, weights)?, credits, keep_going)
         }
     }
 }
@@ -62,7 +59,7 @@ pub fn perform(
 fn run<A: Agent>(
     performance: Performance<'_>,
     mut agent: A,
-    witness: Witness,
+    credits: Credits,
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Trajectory>, EvalError>
 where
@@ -73,8 +70,12 @@ where
     for other in before.iter().filter(|other| other.id() != blueprint.id()) {
         catalog = catalog.with(&Catalog::of_one(other.clone()));
     }
+    // Of all episodes, the last one stays.
+    let seen = Mutex::new(None);
+    let keep = |_: usize, episode: Option<Trajectory>, _: &EpisodeResult| *seen.lock() = episode;
+    let observer = Recorder { credits, keep: &keep };
     let rules =
-        Rules { catalog: &catalog, acting, success: &environment.success, keep_going, observer: Some(&witness) };
+        Rules { catalog: &catalog, acting, success: &environment.success, keep_going, observer: Some(&observer) };
     let goals = before.iter().chain([blueprint]).zip(0..);
     let specs: Vec<_> = goals
         .map(|(goal, idx)| {
@@ -86,7 +87,7 @@ where
     let mut world = World::new(environment);
     world.disturb(before.len(), disturbances);
     run_sequences(&rules, &mut agent, vec![world], || sequences.next(), |_, _| {})?;
-    let mut seen = witness.seen.into_inner();
+    let mut seen = seen.into_inner();
     for (step, disturbance) in disturbances {
         // The episode may have ended before.
         let step = seen.as_mut().and_then(|episode| episode.transitions.get_mut(usize::from(*step)));
@@ -95,50 +96,13 @@ where
     Ok(seen)
 }
 
-/// The actor, behavior policy, and weights version named in a recording.
-#[derive(Clone, Debug)]
-pub(crate) struct Credits {
-    pub(crate) actor: ActorId,
-    pub(crate) behavior_policy: BehaviorPolicy,
-    pub(crate) weights_version: WeightsVersion,
-}
-
-impl Credits {
-    /// Returns the credits of a performer; the actor is `expert` or `policy`.
-    pub(crate) fn of(performer: Performer<'_>, acting: ActionMode) -> Self {
-        let (actor, behavior_policy, weights_version) = match (performer, acting) {
-            (Performer::Expert, _) => ("expert", BehaviorPolicy::Expert, WeightsVersion(0)),
-            (Performer::Policy(_, weights), ActionMode::Greedy) => ("policy", BehaviorPolicy::Greedy, weights.version),
-            (Performer::Policy(_, weights), ActionMode::Sampled) => {
-                ("policy", BehaviorPolicy::Sampled, weights.version)
-            }
-        };
-        let actor = ActorId::try_from(actor.to_owned()).expect("the name is lower case");
-        Self { actor, behavior_policy, weights_version }
-    }
-}
-
-/// Records the last episode.
-struct Witness {
-    credits: Credits,
-    seen: Mutex<Option<Trajectory>>,
-}
-
-impl<A> EpisodeObserver<A> for Witness {
-    type Record = Recording;
-
-    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Recording> {
-        Some(Recording::default())
-    }
-
-    fn observe(&self, recording: &mut Recording, step: Step, _: &A, _: usize, _: Observation<'_>) {
-        recording.push(step);
-    }
-
-    fn end(&self, recording: Recording, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        let Credits { actor, behavior_policy, weights_version } = self.credits.clone();
-        *self.seen.lock() =
-            recording.into_trajectory(actor, behavior_policy, weights_version, spec.task(), last, result);
+impl Performer<'_> {
+    /// Returns the credits for recordings; the actor is `expert` or `policy`.
+    pub(crate) fn credits(self, acting: ActionMode) -> Credits {
+        match self {
+            Self::Expert => Credits::of_expert(),
+            Self::Policy(_, weights) => Credits::of_policy("policy", acting, weights.version),
+        }
     }
 }
 
@@ -148,6 +112,7 @@ mod tests {
     use proto::Status;
 
     use super::*;
+    use crate::report::tests::goal;
 
     fn calm<'p>(environment: &'p Valid<EnvironmentConfig>, blueprint: &'p Blueprint, seed: u64) -> Performance<'p> {
         let acting = ActionMode::Greedy;
@@ -157,8 +122,8 @@ mod tests {
     #[test]
     fn the_expert_builds_two_blocks_and_equal_seeds_give_equal_episodes() {
         let environment = Valid::default();
-        let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-        let play = |seed| perform(calm(&environment, blueprint, seed), Performer::Expert, &|| true).unwrap().unwrap();
+        let play =
+            |seed| perform(calm(&environment, goal("2_000"), seed), Performer::Expert, &|| true).unwrap().unwrap();
         let first = play(1);
         assert_eq!((first.status, first.actor.as_str()), (Status::Success, "expert"));
         assert_eq!(first, play(1));
@@ -168,7 +133,7 @@ mod tests {
     #[test]
     fn a_goal_can_begin_with_what_is_left_of_those_before() {
         let environment = Valid::default();
-        let goals = ["2_000", "2_001"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
+        let goals = ["2_000", "2_001"].map(|id| goal(id).clone());
         let play = |blueprint, before| {
             let performance = Performance { before, ..calm(&environment, blueprint, 1) };
             perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
@@ -183,7 +148,7 @@ mod tests {
     #[test]
     fn a_disturbed_episode_is_recorded_goes_on_and_replays_exactly() {
         let environment = Valid::default();
-        let goals = ["3_000", "2_000"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap().clone());
+        let goals = ["3_000", "2_000"].map(|id| goal(id).clone());
         let play = |before, disturbances| {
             let performance = Performance { before, disturbances, ..calm(&environment, &goals[0], 1) };
             perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
@@ -230,8 +195,7 @@ mod tests {
     #[test]
     fn nobody_waits_for_an_episode_that_is_no_longer_wanted() {
         let environment = Valid::default();
-        let blueprint = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-        let ended = perform(calm(&environment, blueprint, 1), Performer::Expert, &|| false);
+        let ended = perform(calm(&environment, goal("2_000"), 1), Performer::Expert, &|| false);
         assert!(matches!(ended, Err(EvalError::Interrupted)), "{ended:?}");
     }
 }

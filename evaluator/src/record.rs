@@ -3,16 +3,16 @@
 use std::collections::BTreeMap;
 
 use blueprints::Blueprint;
-use environment::{ExpertAgent, Step};
+use environment::ExpertAgent;
 use parking_lot::Mutex;
 use policy::Policy;
-use proto::{ActionMode, Agent, Observation, Scene, Trajectory};
+use proto::{ActionMode, Agent, Trajectory};
 
-use crate::performance::{Credits, Performer};
+use crate::performance::Performer;
 use crate::pool::EvaluationPool;
-use crate::recording::Recording;
+use crate::recording::{Credits, Recorder};
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+use crate::sequences::EpisodeSpec;
 use crate::setup::{EvalError, EvalSetup};
 
 /// A completed episode.
@@ -45,7 +45,7 @@ pub fn record(
     blueprints: &[&Blueprint],
     callbacks: &Callbacks<'_>,
 ) -> Result<bool, EvalError> {
-    let credits = Credits::of(performer, acting);
+    let credits = performer.credits(acting);
     match performer {
         Performer::Expert => {
             let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
@@ -75,7 +75,11 @@ where
     let sequences: Vec<_> =
         plan.map(|(blueprint, idx)| vec![EpisodeSpec::one_of(catalog, blueprint, starts, seed, idx)]).collect();
     let in_order = Mutex::new(InOrder::new(callbacks.on_episode));
-    let recorder = Recorder { credits, in_order: &in_order };
+    let keep = |idx: usize, trajectory: Option<Trajectory>, result: &EpisodeResult| {
+        let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone() });
+        in_order.lock().put(idx, recorded);
+    };
+    let recorder = Recorder { credits, keep: &keep };
     let keep_going = callbacks.keep_going;
     let pool = EvaluationPool { setup, agent, observer: Some(&recorder), progress: None, keep_going };
     let (_, played) = pool.run(&sequences, acting);
@@ -84,31 +88,6 @@ where
         Ok(()) => Ok(true),
         Err(EvalError::Interrupted) => Ok(false),
         Err(error) => Err(error),
-    }
-}
-
-/// Records every episode.
-struct Recorder<'r, 's> {
-    credits: Credits,
-    in_order: &'r Mutex<InOrder<'s, Recorded>>,
-}
-
-impl<A> EpisodeObserver<A> for Recorder<'_, '_> {
-    type Record = (usize, Recording);
-
-    fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Self::Record> {
-        Some((place.sequence_idx, Recording::default()))
-    }
-
-    fn observe(&self, (_, recording): &mut Self::Record, step: Step, _: &A, _: usize, _: Observation<'_>) {
-        recording.push(step);
-    }
-
-    fn end(&self, (idx, recording): Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        let Credits { actor, behavior_policy, weights_version } = self.credits.clone();
-        let trajectory = recording.into_trajectory(actor, behavior_policy, weights_version, spec.task(), last, result);
-        let recorded = trajectory.map(|trajectory| Recorded { trajectory, result: result.clone() });
-        self.in_order.lock().put(idx, recorded);
     }
 }
 
@@ -158,6 +137,7 @@ mod tests {
 
     use super::*;
     use crate::config::EpisodeConfig;
+    use crate::report::tests::goal;
 
     #[test]
     fn what_comes_too_early_waits_for_its_turn() {
@@ -180,7 +160,7 @@ mod tests {
     }
 
     fn blueprints() -> Vec<&'static Blueprint> {
-        ["2_000", "3_000"].map(|id| Catalog::builtin().get(&id.parse().unwrap()).unwrap()).to_vec()
+        ["2_000", "3_000"].map(goal).to_vec()
     }
 
     fn recorded(setup: &EvalSetup<'_>, keep_going: &(dyn Fn() -> bool + Sync)) -> (bool, Vec<Recorded>) {

@@ -2,10 +2,41 @@
 
 use environment::{Step, StepResult};
 use proto::{
-    ActorId, BehaviorPolicy, Decision, EpisodeStats, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
+    ActionMode, ActorId, BehaviorPolicy, Decision, EpisodeStats, Observation, Scene, Status, Task, Trajectory,
+    Transition, WeightsVersion,
 };
 
 use crate::report::{End, EpisodeResult};
+use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+
+/// Who acts in a recording.
+#[derive(Clone, Debug)]
+pub(crate) struct Credits {
+    actor: ActorId,
+    behavior_policy: BehaviorPolicy,
+    weights_version: WeightsVersion,
+}
+
+impl Credits {
+    /// Returns the credits of the scripted expert, whose actor is `expert`.
+    pub(crate) fn of_expert() -> Self {
+        Self::new("expert", BehaviorPolicy::Expert, WeightsVersion(0))
+    }
+
+    /// Returns the credits of a policy under the name `actor`, which must be lower case.
+    pub(crate) fn of_policy(actor: &str, acting: ActionMode, version: WeightsVersion) -> Self {
+        let behavior_policy = match acting {
+            ActionMode::Greedy => BehaviorPolicy::Greedy,
+            ActionMode::Sampled => BehaviorPolicy::Sampled,
+        };
+        Self::new(actor, behavior_policy, version)
+    }
+
+    fn new(actor: &str, behavior_policy: BehaviorPolicy, weights_version: WeightsVersion) -> Self {
+        let actor = ActorId::try_from(actor.to_owned()).expect("the name is lower case");
+        Self { actor, behavior_policy, weights_version }
+    }
+}
 
 /// The recorded steps of an episode.
 #[derive(Clone, Debug, Default)]
@@ -14,7 +45,6 @@ pub(crate) struct Recording {
 }
 
 impl Recording {
-    /// Adds a step.
     pub(crate) fn push(&mut self, step: Step) {
         let Step { scene, decision: Decision { action, proposals, .. }, result: StepResult { reward, .. } } = step;
         let transition = Transition { scene, action, proposals, behavior_log_prob: 0.0, reward, disturbance: None };
@@ -25,13 +55,12 @@ impl Recording {
     /// Returns `None` if the episode has no steps.
     pub(crate) fn into_trajectory(
         self,
-        actor: ActorId,
-        behavior_policy: BehaviorPolicy,
-        weights_version: WeightsVersion,
+        credits: Credits,
         task: &Task,
         last: &Scene,
         result: &EpisodeResult,
     ) -> Option<Trajectory> {
+        let Credits { actor, behavior_policy, weights_version } = credits;
         let status = match result.end {
             End::Success { .. } => Status::Success,
             End::TimeLimit => Status::TimeLimit,
@@ -57,5 +86,28 @@ impl Recording {
             status,
             episode_stats: (status != Status::Running).then_some(stats),
         })
+    }
+}
+
+/// Records every episode.
+pub(crate) struct Recorder<'r> {
+    pub(crate) credits: Credits,
+    /// Gets each episode with the index of its sequence and its result; `None` for one without steps.
+    pub(crate) keep: &'r (dyn Fn(usize, Option<Trajectory>, &EpisodeResult) + Sync),
+}
+
+impl<A> EpisodeObserver<A> for Recorder<'_> {
+    type Record = (usize, Recording);
+
+    fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Self::Record> {
+        Some((place.sequence_idx, Recording::default()))
+    }
+
+    fn observe(&self, (_, recording): &mut Self::Record, step: Step, _: &A, _: usize, _: Observation<'_>) {
+        recording.push(step);
+    }
+
+    fn end(&self, (idx, recording): Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
+        (self.keep)(idx, recording.into_trajectory(self.credits.clone(), &spec.task, last, result), result);
     }
 }

@@ -115,24 +115,15 @@ mod tests {
     use proto::WeightsVersion;
 
     use super::*;
-    use crate::report::{End, EpisodeResult, summarize};
+    use crate::report::tests::episode;
+    use crate::report::{End, summarize};
 
     #[test]
     fn rows_wait_until_the_history_can_be_written() {
         let dir = tempfile::tempdir().unwrap();
         let paths = RunPaths::new(dir.path());
         let mut records = Records::open(&paths).unwrap();
-        let goal = blueprints::Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-        let episode = EpisodeResult {
-            blueprint: goal.id().clone(),
-            split: goal.split(),
-            n_blocks: goal.n_blocks(),
-            acting: ActionMode::Greedy,
-            end: End::Success { stable: true },
-            n_steps: 9,
-            episode_return: proto::RewardTerms::default(),
-            forced_reset: false,
-        };
+        let episode = episode("2_000", ActionMode::Greedy, End::Success { stable: true }, 9);
         let keep = |records: &mut Records, version| {
             let report = summarize(WeightsVersion(version), 100 * version, std::slice::from_ref(&episode));
             records.keep(&report, Evaluation::new(&report, version));

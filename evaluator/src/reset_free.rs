@@ -102,22 +102,11 @@ fn count(runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalRuns {
 
 #[cfg(test)]
 mod tests {
-    use proto::RewardTerms;
-
     use super::*;
+    use crate::report::tests::episode;
 
     fn result(end: End, forced_reset: bool) -> EpisodeResult {
-        let blueprint = Catalog::builtin().of_split(Split::Train)[0];
-        EpisodeResult {
-            blueprint: blueprint.id().clone(),
-            split: Split::Train,
-            n_blocks: blueprint.n_blocks(),
-            acting: ActionMode::Greedy,
-            end,
-            n_steps: 10,
-            episode_return: RewardTerms::default(),
-            forced_reset,
-        }
+        EpisodeResult { forced_reset, ..episode("2_000", ActionMode::Greedy, end, 10) }
     }
 
     #[test]
@@ -142,9 +131,9 @@ mod tests {
         let plan = plan_runs(&goals[..2], &config, 3);
         assert_eq!((plan.len(), plan[0].len()), (20, 10));
         for run in &plan {
-            assert_eq!(run[0].task().start, Start::Scattered);
-            assert!(run[1..].iter().all(|spec| spec.task().start == Start::AsItIs));
-            assert!(run.windows(2).all(|pair| pair[0].task().blueprint != pair[1].task().blueprint));
+            assert_eq!(run[0].task.start, Start::Scattered);
+            assert!(run[1..].iter().all(|spec| spec.task.start == Start::AsItIs));
+            assert!(run.windows(2).all(|pair| pair[0].task.blueprint != pair[1].task.blueprint));
         }
     }
 }

@@ -9,8 +9,9 @@ use blueprints::{Blueprint, BlueprintId, Catalog};
 use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
 use policy::Policy;
 use proto::metrics::{EvalBlueprint, EvalReport};
-use proto::{ActionMode, Role, Weights, WeightsVersion, keys};
+use proto::{Role, Weights, WeightsVersion, keys};
 use runlog::overview::Evaluations;
+use runlog::series::outcome_of;
 use runlog::{Evaluation, History, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -73,7 +74,7 @@ pub struct Stop {
 /// If the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
 /// started, the records cannot be opened or the history's last rows cannot be written at the end, or another evaluator
 /// writes the same history.
-pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
+pub async fn run(setup: EvaluatorSetup, bus: &Bus, mut listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
     setup.config.videos.check_in(&setup.catalog)?;
     let selection = [&setup.config.selection, &setup.config.last_selection()];
     let [selected, last_selected] = selection.map(|selection| goals(selection, &setup.catalog));
@@ -85,7 +86,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
         None => None,
     };
     let subscriber = bus.weights_subscriber().await?;
-    let usable = listeners.weights.unwrap_or_else(|| watch::channel(None).0);
+    let usable = listeners.weights.take().unwrap_or_else(|| watch::channel(None).0);
     let (weights, _validation) = validated(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
     let mut evaluations = Evaluations::default();
     let last = history.last().and_then(|evaluation| Evaluated::before(evaluation, &setup, &selected));
@@ -95,17 +96,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: S
     }
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&evaluations.overview())?;
-    let mut outlets = Outlets {
-        records,
-        evaluations,
-        publishers,
-        last: None,
-        reports: listeners.reports,
-        listener: listeners.evaluations,
-        evaluated: listeners.evaluated,
-        progress: listeners.progress,
-        videos: videos.as_ref(),
-    };
+    let mut outlets = Outlets { records, evaluations, publishers, last: None, listeners, videos: videos.as_ref() };
     let ended = evaluate_all(&setup, bus, weights, &selected, last, &mut outlets, &stop).await;
     let kept = outlets.catch_up().await;
     if let Some(videos) = videos {
@@ -174,7 +165,7 @@ async fn evaluate_all(
             Err(EvalError::Interrupted) => {
                 // The partial report goes to the listener but not to the history, which has only complete evaluations.
                 let part = newest_part.borrow().clone().filter(|part| !part.blueprints.is_empty());
-                if let (Some(part), Some(reports)) = (part, &outlets.reports) {
+                if let (Some(part), Some(reports)) = (part, &outlets.listeners.reports) {
                     reports.send_replace(Some(Arc::new(stamp(part))));
                 }
                 return Ok(n_evaluations);
@@ -201,22 +192,19 @@ struct Outlets<'r> {
     publishers: Publishers<'r>,
     /// The newest complete report of this process.
     last: Option<EvalReport>,
-    reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
-    listener: Option<mpsc::UnboundedSender<Evaluation>>,
-    evaluated: Option<mpsc::UnboundedSender<Scored>>,
-    progress: Option<watch::Sender<Option<EvaluationProgress>>>,
+    listeners: Listeners,
     videos: Option<&'r VideoRecorder>,
 }
 
 impl Outlets<'_> {
     fn progress(&self, so_far: Option<EvaluationProgress>) {
-        if let Some(progress) = &self.progress {
+        if let Some(progress) = &self.listeners.progress {
             progress.send_replace(so_far);
         }
     }
 
     fn judge(&self, weights: Arc<Weights>, verdict: Verdict) {
-        if let Some(evaluated) = &self.evaluated {
+        if let Some(evaluated) = &self.listeners.evaluated {
             // The receiver may be gone.
             drop(evaluated.send(Scored { weights, verdict }));
         }
@@ -251,7 +239,7 @@ impl Outlets<'_> {
 
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
         let evaluation = Evaluation::new(&report, unix_ms());
-        tell(self.listener.as_ref(), evaluation.clone());
+        tell(self.listeners.evaluations.as_ref(), evaluation.clone());
         self.evaluations.push(&evaluation);
         self.publishers.history.set(&self.evaluations.overview())?;
         if let Some(mut open) = self.records.take() {
@@ -264,7 +252,7 @@ impl Outlets<'_> {
             self.records = Some(kept.await.context("the recording thread panicked")?);
         }
         self.publishers.publish(&report).await?;
-        if let Some(reports) = &self.reports {
+        if let Some(reports) = &self.listeners.reports {
             reports.send_replace(Some(Arc::new(report.clone())));
         }
         self.last = Some(report);
@@ -323,13 +311,12 @@ impl Evaluated {
     /// be repeated.
     fn before(evaluation: &Evaluation, setup: &EvaluatorSetup, selected: &Selected) -> Option<Self> {
         let EpisodeConfig { n_episodes, acting, .. } = &setup.config.episodes;
-        let n_episodes_of = |score: &EvalBlueprint, acting| match acting {
-            ActionMode::Greedy => score.greedy.success.n_episodes,
-            ActionMode::Sampled => score.sampled.success.n_episodes,
-        };
         let has = |blueprint: &Blueprint| {
             let of_it = |score: &&EvalBlueprint| score.blueprint == *blueprint.id();
-            let has_all = |score| acting.iter().all(|&acting| n_episodes_of(score, acting) == u64::from(*n_episodes));
+            let has_all = |score: &EvalBlueprint| {
+                let of = |acting| outcome_of(score, acting).map(|outcome| outcome.success.n_episodes);
+                acting.iter().all(|&acting| of(acting) == Some(u64::from(*n_episodes)))
+            };
             evaluation.blueprints.iter().find(of_it).is_some_and(has_all)
         };
         let of_evaluation = evaluation.reset_free.as_ref().map(|runs| (runs.n_runs, runs.n_goals));
@@ -436,7 +423,6 @@ async fn evaluate_once(
     .await
 }
 
-/// Publishers for the reports.
 struct Publishers<'b> {
     bus: &'b Bus,
     history: HistoryAnswer,

@@ -66,15 +66,7 @@ mod tests {
     use super::*;
 
     fn weights(version: u64, n_env_steps: u64) -> Weights {
-        Weights {
-            version: WeightsVersion(version),
-            n_env_steps,
-            network_hash: 0,
-            settings: Default::default(),
-            parameters: Vec::new(),
-            normalization: Default::default(),
-            task_probabilities: Default::default(),
-        }
+        Weights { version: WeightsVersion(version), n_env_steps, ..crate::episodes::tests::weights() }
     }
 
     #[test]

@@ -19,7 +19,7 @@ const SETTLE_STEPS: u8 = 10;
 /// An episode to run.
 #[derive(Clone, Debug)]
 pub(crate) struct EpisodeSpec {
-    task: Task,
+    pub(crate) task: Task,
     pub(crate) split: Split,
     pub(crate) n_blocks: usize,
 }
@@ -38,7 +38,6 @@ pub(crate) struct Rules<'a, O> {
     pub(crate) acting: ActionMode,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
-    /// Observer of the episodes.
     pub(crate) observer: Option<&'a O>,
 }
 
@@ -67,10 +66,6 @@ impl EpisodeSpec {
         let assignment = sample_assignment(&mut rng);
         let task = Task { blueprint: blueprint.id().clone(), assignment, start, seed: rng.random() };
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
-    }
-
-    pub(crate) fn task(&self) -> &Task {
-        &self.task
     }
 
     /// Builds the result of this episode.
@@ -260,4 +255,4 @@ fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -6,7 +6,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proto::{Action, Pose, Start, Task, Valid};
 
 use crate::config::EpisodeConfig;
-use crate::expert::evaluate_expert;
+use crate::expert::evaluate_expert_followed;
+use crate::follower::Follower;
 use crate::setup::{EvalError, EvalSetup, N_WORLDS};
 
 /// Maximum distance that a block of a standing blueprint may move, m (0.2 units).
@@ -93,7 +94,7 @@ pub fn try_building(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprin
         n_worlds: N_WORLDS,
         seed: 0,
     };
-    let report = evaluate_expert(&setup, &[blueprint], &|| true)?;
+    let report = evaluate_expert_followed(&setup, &[blueprint], &Follower::default())?;
     let n_successes = report.blueprints.iter().map(|found| found.outcome.success.n_successes).sum();
     Ok((n_successes, u64::from(N_EPISODES)))
 }

@@ -1,13 +1,13 @@
 //! Videos made by a running evaluator: for each group, a success and a failure.
 //!
-//! Reading order: [`selector`] (chooses the episodes to record) → `queue` → `recorder` (the rendering thread).
+//! Reading order: `selector` (chooses the episodes to record) → `queue` → `recorder` (the rendering thread).
 //! [`runlog::videos`] defines where the files are stored.
 
 mod queue;
 mod recorder;
-pub mod selector;
+mod selector;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use recorder::VideoRecorder;
-pub use selector::EpisodeSelector;
+pub(crate) use selector::EpisodeSelector;

@@ -155,7 +155,8 @@ impl Admission {
         if n_grippers != self.n_grippers {
             return Err(format!("uses {n_grippers} grippers, the network has {}", self.n_grippers));
         }
-        check_moves(action.moves.as_flattened())
+        let odd = action.moves.as_flattened().iter().find(|entry| !within(**entry, MAX_MOVE));
+        odd.map_or(Ok(()), |entry| Err(format!("has a move of {entry}")))
     }
 
     /// Checks that an action has draws as the move head makes them. Whether the scene offers them is found out when it
@@ -175,11 +176,6 @@ impl Admission {
             MoveHead::Gaussian | MoveHead::Mixture => Ok(()),
         }
     }
-}
-
-fn check_moves(moves: &[f32]) -> Result<(), String> {
-    let odd = moves.iter().find(|entry| !within(**entry, MAX_MOVE));
-    odd.map_or(Ok(()), |entry| Err(format!("has a move of {entry}")))
 }
 
 fn check_scene(scene: &Scene) -> Result<(), String> {

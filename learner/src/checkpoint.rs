@@ -28,6 +28,7 @@ use serde_json::Value;
 use crate::adam::Adam;
 use crate::state::LearnerState;
 use files::FileInfo;
+pub use files::clean;
 pub use format::CheckpointError;
 pub(crate) use format::{FORMAT_VERSION, FormatVersion};
 use format::{damaged, io};
@@ -206,18 +207,6 @@ pub fn prune(dir: &Path, n_env_steps: u64, keep: usize) -> Result<(), Checkpoint
     let steps: Vec<PathBuf> = files::steps(dir)?.range(..=n_env_steps).map(|(_, path)| path.clone()).collect();
     let n_old = steps.len().saturating_sub(keep);
     steps.iter().take(n_old).try_for_each(|path| files::remove(path))
-}
-
-/// Removes the leftovers of interrupted writes in `dir`, and restores a checkpoint whose replacement was interrupted.
-/// No other process may write to `dir` at the same time.
-///
-/// # Errors
-/// If the file system returns an error.
-pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
-    files::leftovers(dir)?.into_iter().try_for_each(|leftover| match leftover.replaced {
-        Some(path) if !path.exists() => fs::rename(&leftover.path, &path).map_err(io("renaming", &leftover.path)),
-        _ => files::remove(&leftover.path),
-    })
 }
 
 fn json(value: &impl Serialize) -> Result<Vec<u8>, CheckpointError> {

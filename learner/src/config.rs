@@ -1,6 +1,5 @@
 //! All settings of the learner, with units, defaults and valid ranges.
 
-mod curriculum;
 mod loss;
 mod schedule;
 
@@ -12,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use crate::advantages::Estimator;
 use crate::gae::Gae;
 
-pub use curriculum::{CurriculumConfig, PaperConfig, UniformConfig};
 pub use loss::{LossConfig, LossTerms, Objective};
 pub use schedule::Schedule;
 
@@ -99,6 +97,23 @@ settings! {
         pub capacity_steps: usize = 16384;
         /// Trajectories are dropped if their weights are more than this many versions old.
         pub max_policy_lag: u64 = 4, in 0..=1000;
+    }
+
+    /// The rule that turns success rates into task probabilities.
+    pub enum CurriculumConfig = Paper {
+        /// All training blueprints are equally likely.
+        Uniform(UniformConfig),
+        /// The paper's rule: the less often a blueprint succeeds, the likelier it is (appendix "Curriculum").
+        Paper(PaperConfig),
+    }
+
+    /// Settings of the uniform curriculum (none).
+    pub struct UniformConfig {}
+
+    /// Settings of the paper's curriculum.
+    pub struct PaperConfig {
+        /// Temperature of the softmax over failure rates.
+        pub temperature: f64 = 0.5, in above(0.0);
     }
 
     /// When checkpoints are written.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::BlueprintId;
 use proto::metrics::EpisodeMetrics;
 use proto::wilson::SuccessRate;
-use proto::{EpisodeStats, RewardTerms, Trajectory};
+use proto::{RewardTerms, Trajectory};
 
 /// Sums over finished episodes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -16,24 +16,18 @@ pub struct EpisodeTally {
 }
 
 impl EpisodeTally {
-    /// Counts the episodes that end in these segments, except the expert's.
+    /// Counts the episodes that end in these segments.
     pub fn of(trajectories: &[Trajectory]) -> Self {
         let mut tally = Self::default();
         for trajectory in trajectories {
-            if let Some(stats) = &trajectory.episode_stats {
-                tally.add(&trajectory.task.blueprint, stats);
-            }
+            let Some(stats) = &trajectory.episode_stats else { continue };
+            tally.n_steps += u64::from(stats.n_steps);
+            tally.episode_return = tally.episode_return + stats.episode_return;
+            let (n_successes, n_episodes) = tally.by_blueprint.entry(trajectory.task.blueprint.clone()).or_default();
+            *n_successes += u64::from(stats.success);
+            *n_episodes += 1;
         }
         tally
-    }
-
-    /// Counts one episode.
-    pub fn add(&mut self, blueprint: &BlueprintId, stats: &EpisodeStats) {
-        self.n_steps += u64::from(stats.n_steps);
-        self.episode_return = self.episode_return + stats.episode_return;
-        let (n_successes, n_episodes) = self.by_blueprint.entry(blueprint.clone()).or_default();
-        *n_successes += u64::from(stats.success);
-        *n_episodes += 1;
     }
 
     /// Returns the number of episodes.
@@ -68,6 +62,8 @@ impl EpisodeTally {
 
 #[cfg(test)]
 mod tests {
+    use proto::EpisodeStats;
+
     use super::*;
     use crate::fixtures::{blueprint_id, trajectory};
 

@@ -40,7 +40,7 @@ pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::LearnerConfig;
 pub use learner::{Learner, LearnerError, LearnerSetup};
 pub use mailbox::{Mailbox, MailboxCounts};
-pub use metrics::UpdateMetrics;
+pub use metrics::UpdateResult;
 pub use model::Model;
 pub use onnx::NoGraph;
 pub use policy::device::{DeviceError, DeviceKind};

@@ -1,7 +1,7 @@
 //! The bounded queue between the bus and the updates. It refuses and counts trajectories that are invalid, too old, or
 //! do not fit.
 
-use parking_lot::{Condvar, Mutex, MutexGuard};
+use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -74,7 +74,7 @@ impl Mailbox {
 
     fn put(&self, trajectory: Trajectory, capacity_steps: usize) -> Result<(), Refusal> {
         let admitted = self.admission.check(&trajectory);
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         let (acted, newest) = (trajectory.weights_version, state.version);
         let admitted = admitted.and_then(|()| match acted <= newest {
             true => Ok(()),
@@ -103,13 +103,13 @@ impl Mailbox {
     /// Refuses every trajectory from now on as if full, so that no trajectory is acknowledged but missing from the last
     /// checkpoint.
     pub fn close(&self) {
-        self.lock().is_closed = true;
+        self.state.lock().is_closed = true;
     }
 
     /// Removes and returns the oldest trajectories, with at least `n_steps` steps in total; empty if the mailbox holds
     /// fewer.
     pub fn take(&self, n_steps: usize) -> Vec<Trajectory> {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         let mut batch = Vec::new();
         let mut taken = 0;
         if state.n_steps < n_steps {
@@ -126,14 +126,14 @@ impl Mailbox {
 
     /// Waits until the mailbox holds `n_steps` steps or the timeout expires; returns whether it holds them.
     pub fn wait(&self, n_steps: usize, timeout: Duration) -> bool {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         self.arrived.wait_while_for(&mut state, |state| state.n_steps < n_steps, timeout);
         state.n_steps >= n_steps
     }
 
     /// Sets the newest version, and drops trajectories that are now too old.
     pub fn set_version(&self, version: WeightsVersion) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         state.version = version;
         let before = state.waiting.len();
         state.waiting.retain(|t| policy_lag(version, t) <= self.config.max_policy_lag);
@@ -143,29 +143,24 @@ impl Mailbox {
 
     /// Returns the number of waiting steps.
     pub fn n_steps(&self) -> usize {
-        self.lock().n_steps
+        self.state.lock().n_steps
     }
 
     /// Returns the number of trajectories so far, by result.
     pub fn counts(&self) -> MailboxCounts {
-        self.lock().counts
+        self.state.lock().counts
     }
 
     /// Returns a consistent snapshot of the counts and of the waiting trajectories, oldest first.
     pub fn snapshot(&self) -> (MailboxCounts, Vec<Trajectory>) {
-        let state = self.lock();
+        let state = self.state.lock();
         (state.counts, state.waiting.iter().cloned().collect())
     }
 
     /// Restores the state from a checkpoint.
     pub(crate) fn restore(&self, version: WeightsVersion, counts: MailboxCounts, waiting: Vec<Trajectory>) {
         let n_steps = waiting.iter().map(|t| t.transitions.len()).sum();
-        *self.lock() = State { waiting: waiting.into(), n_steps, version, counts, is_closed: false };
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // Every critical section leaves the queue consistent, even if it panics.
-        self.state.lock()
+        *self.state.lock() = State { waiting: waiting.into(), n_steps, version, counts, is_closed: false };
     }
 }
 

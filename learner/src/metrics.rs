@@ -1,93 +1,59 @@
 //! Metrics of one update; [`crate::train`] adds timings and bus counts.
 
-use std::collections::BTreeMap;
-
-use blueprints::BlueprintId;
-use proto::WeightsVersion;
-use proto::metrics::{EpisodeMetrics, PpoMetrics, ProposalMetrics};
-use serde::Serialize;
+use proto::metrics::{BusCounts, EpisodeMetrics, IngestCounts, LearnerMetrics, METRICS_SCHEMA_VERSION, PpoMetrics};
 
 use crate::batch::Batch;
 use crate::learner::Learner;
-use crate::mailbox::MailboxCounts;
 use crate::ppo::Learned;
 
-/// Metrics of one update.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct UpdateMetrics {
-    /// Weights version after the update.
-    pub weights_version: WeightsVersion,
-    /// Updates so far.
-    pub n_updates: u64,
-    /// Environment steps so far.
-    pub n_env_steps: u64,
-    /// Episodes that ended so far.
-    pub n_episodes: u64,
-    /// Mean policy lag of the batch's samples, versions.
-    pub policy_lag_mean: f64,
-    /// Largest policy lag in the batch, versions.
-    pub policy_lag_max: u64,
-    /// Samples of the batch by policy lag.
-    pub policy_lag_histogram: Vec<u64>,
-    /// Environment steps waiting in the mailbox.
-    pub n_mailbox: u64,
-    /// Trajectories so far, by result.
-    pub mailbox: MailboxCounts,
-    /// Accepted trajectories that could not be learned from since the start of the process, by
-    /// [`proto::metrics::LearnerMetrics::unmade_total`].
-    pub unmade_total: u64,
-    /// Updates that were taken back since the start of the process.
-    pub refused_total: u64,
-    /// Why this update was taken back; `None` if its weights are in force.
+/// The result of one update.
+#[derive(Clone, Debug, PartialEq)]
+pub struct UpdateResult {
+    /// Metrics of the update; times and the counts of the bus are 0.
+    pub metrics: LearnerMetrics,
+    /// Why the update was taken back; `None` if its weights are in force.
     pub refused: Option<String>,
-    /// Environment steps of this update.
-    pub n_steps: u64,
-    /// PPO metrics.
-    pub ppo: PpoMetrics,
-    /// What the mixture head drew; `None` for the Gaussian head, and if PPO had no samples.
-    pub proposals: Option<ProposalMetrics>,
-    /// Episodes that ended in the batch.
-    pub episodes: EpisodeMetrics,
-    /// Probability of each training blueprint.
-    pub task_probabilities: BTreeMap<BlueprintId, f32>,
-}
-
-/// An update that [`UpdateMetrics`] describe.
-pub(crate) struct Update<'a> {
-    pub(crate) batch: &'a Batch,
-    /// Environment steps of its trajectories.
-    pub(crate) n_steps: u64,
-    pub(crate) learned: Learned,
-    pub(crate) episodes: EpisodeMetrics,
-    /// Why it was taken back.
-    pub(crate) refused: Option<String>,
 }
 
 impl Learner {
-    /// Returns the metrics of the newest update.
-    pub(crate) fn metrics(&self, update: Update<'_>) -> UpdateMetrics {
-        let Update { batch, n_steps, learned, episodes, refused } = update;
+    /// Describes the newest update, on a batch from trajectories of `n_steps` environment steps.
+    pub(crate) fn result(
+        &self,
+        batch: &Batch,
+        n_steps: u64,
+        learned: Learned,
+        episodes: EpisodeMetrics,
+        refused: Option<String>,
+    ) -> UpdateResult {
         let histogram = batch.lag_histogram();
         let total: u64 = histogram.iter().zip(0..).map(|(n, lag): (_, u64)| n * lag).sum();
-        UpdateMetrics {
+        let metrics = LearnerMetrics {
+            schema_version: METRICS_SCHEMA_VERSION,
             weights_version: self.state.version,
             n_updates: self.state.n_updates,
             n_env_steps: self.state.n_env_steps,
+            n_update_steps: n_steps,
             n_episodes: self.state.n_episodes,
+            elapsed_s: 0.0,
+            run_elapsed_s: 0.0,
+            env_steps_per_s: 0.0,
+            update_s: 0.0,
             policy_lag_mean: total as f64 / batch.n_samples().max(1) as f64,
             policy_lag_max: histogram.len() as u64 - 1,
             policy_lag_histogram: histogram,
             n_mailbox: self.mailbox.n_steps() as u64,
-            mailbox: self.mailbox.counts(),
+            expired_total: self.mailbox.counts().expired_total,
             unmade_total: self.n_unmade,
             refused_total: self.n_refused,
             ppo: if refused.is_some() { kept(&learned.ppo) } else { learned.ppo },
-            refused,
-            n_steps,
             proposals: learned.proposals,
             episodes,
+            ingest: IngestCounts::default(),
+            bus: BusCounts::default(),
             task_probabilities: self.state.curriculum.probabilities(),
-        }
+            not_saved: None,
+        };
+        UpdateResult { metrics, refused }
     }
 }
 

@@ -13,7 +13,6 @@ pub(crate) fn positive<T: Number + From<u8>>(key: &str, value: T) -> Result<(), 
     InvalidSetting::check(key, value, value.is_finite() && value > T::from(0), "above 0 and finite")
 }
 
-/// Checks that a number is finite.
 pub(crate) fn finite<T: Number>(key: &str, value: T) -> Result<(), InvalidSetting> {
     InvalidSetting::check(key, value, value.is_finite(), "a finite number")
 }

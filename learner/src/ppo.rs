@@ -43,25 +43,6 @@ pub(crate) struct Trained {
     adam: Adam,
 }
 
-/// The state that an update changes in addition to the network.
-pub(crate) struct Progress<'a> {
-    /// Random number generator that shuffles the samples.
-    pub(crate) rng: &'a mut ChaCha8Rng,
-    /// Learning rate, adapted to the KL divergence.
-    pub(crate) learning_rate: &'a mut LearningRate,
-    /// Running statistics of the value targets.
-    pub(crate) values: &'a mut ValueStatistics,
-    /// Environment steps consumed before this update.
-    pub(crate) n_env_steps: u64,
-}
-
-impl<'a> Progress<'a> {
-    pub(crate) fn of(state: &'a mut LearnerState) -> Self {
-        let LearnerState { rng, learning_rate, values, n_env_steps, .. } = state;
-        Self { rng, learning_rate, values, n_env_steps: *n_env_steps }
-    }
-}
-
 /// The metrics of an update.
 #[derive(Debug)]
 pub(crate) struct Learned {
@@ -142,7 +123,6 @@ impl Ppo {
         &self.parameters
     }
 
-    /// Returns the optimizer.
     pub(crate) fn adam(&self) -> &Adam {
         &self.adam
     }
@@ -152,24 +132,25 @@ impl Ppo {
         self.workers.engine().table()
     }
 
-    /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse).
-    pub(crate) fn update(&mut self, batch: &mut Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> Learned {
+    /// Runs one update on a batch with normalized features, from which it removes what it [refuses](Batch::refuse). Of
+    /// the state, it changes the generator, the learning rate, and the statistics of the value targets.
+    pub(crate) fn update(&mut self, batch: &mut Batch, config: &LearnerConfig, state: &mut LearnerState) -> Learned {
         match &config.optimizer.lr_schedule {
             // A resumed run may have been given another rate.
-            LrSchedule::Fixed(_) => progress.learning_rate.0 = config.optimizer.learning_rate,
-            LrSchedule::Line(line) => progress.learning_rate.0 = line.points.at(progress.n_env_steps),
+            LrSchedule::Fixed(_) => state.learning_rate.0 = config.optimizer.learning_rate,
+            LrSchedule::Line(line) => state.learning_rate.0 = line.points.at(state.n_env_steps),
             LrSchedule::Adaptive(_) => {}
         }
         if batch.n_samples() > 0 {
-            return self.update_with(batch, config, progress);
+            return self.update_with(batch, config, state);
         }
-        let ppo = PpoMetrics { learning_rate: f64::from(progress.learning_rate.0), ..PpoMetrics::default() };
+        let ppo = PpoMetrics { learning_rate: f64::from(state.learning_rate.0), ..PpoMetrics::default() };
         Learned { ppo, proposals: None }
     }
 
     /// Runs an update on a batch with samples.
-    fn update_with(&mut self, batch: &mut Batch, config: &LearnerConfig, progress: &mut Progress<'_>) -> Learned {
-        let terms = config.loss.at(progress.n_env_steps);
+    fn update_with(&mut self, batch: &mut Batch, config: &LearnerConfig, state: &mut LearnerState) -> Learned {
+        let terms = config.loss.at(state.n_env_steps);
         let mut before = self.workers.evaluate(batch);
         if batch.refuse(&before.values, &before.log_probs) > 0 {
             before = self.workers.evaluate(batch);
@@ -177,13 +158,13 @@ impl Ppo {
         let batch = &*batch;
         let ratios = importance_ratios(&before.log_probs, &batch.behavior_log_probs);
         let estimator = config.estimator();
-        let values = in_reward_units(&before.values, progress.values);
+        let values = in_reward_units(&before.values, &state.values);
         let advantages = batch.advantages(&*estimator, &values, &ratios, config.deadline);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
         if config.normalization.values && returns.iter().all(|x| x.is_finite()) {
-            let next = progress.values.after(&returns);
-            self.rescale_value_head(progress.values, &next);
-            *progress.values = next;
+            let next = state.values.after(&returns);
+            self.rescale_value_head(&state.values, &next);
+            state.values = next;
         }
         let (reference, weights) = match config.loss.objective {
             Objective::Standard => (&batch.behavior_log_probs, vec![1.0; batch.n_samples()]),
@@ -191,24 +172,24 @@ impl Ppo {
         };
         let mut targets =
             Targets { loss: terms, reference, weights, advantages: Vec::new(), value_targets: Vec::new() };
-        targets.refresh(advantages, &values, progress.values);
+        targets.refresh(advantages, &values, &state.values);
 
         let mut steps = Steps::default();
         let mut moved = RatioStatistics::default();
-        let rate = *progress.learning_rate;
+        let rate = state.learning_rate;
         for epoch in 0..config.n_epochs {
             if epoch > 0 {
                 // The critic has changed, so recompute the stale advantages (Andrychowicz et al., "What matters in
                 // on-policy reinforcement learning", section 3.5).
-                let values = in_reward_units(&self.workers.values(batch), progress.values);
+                let values = in_reward_units(&self.workers.values(batch), &state.values);
                 let advantages = batch.advantages(&*estimator, &values, &ratios, config.deadline);
-                targets.refresh(advantages, &values, progress.values);
+                targets.refresh(advantages, &values, &state.values);
             }
-            moved = self.epoch(batch, config, &targets, rate, progress.rng, &mut steps);
+            moved = self.epoch(batch, config, &targets, rate, &mut state.rng, &mut steps);
         }
         moved.approx_kl = self.divergence(batch, targets.reference, config);
         if let LrSchedule::Adaptive(rule) = &config.optimizer.lr_schedule {
-            *progress.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
+            state.learning_rate = rate.adapted(moved.approx_kl as f32, rule);
         }
         let ppo = PpoMetrics {
             approx_kl: moved.approx_kl,
@@ -218,8 +199,8 @@ impl Ppo {
             learning_rate: f64::from(rate.0),
             n_samples: batch.n_samples() as u64,
             n_epochs: config.n_epochs as u64,
-            value_mean: progress.values.mean,
-            value_std: progress.values.std,
+            value_mean: state.values.mean,
+            value_std: state.values.std,
             ..steps.metrics(&targets.loss)
         };
         let proposals = batch.draws.as_ref().map(|draws| draws::metrics(draws, &before.entropies));
@@ -361,13 +342,8 @@ mod tests {
             let update = |drawn: &[Trajectory]| {
                 let mut batch = Batch::new(drawn.to_vec(), WeightsVersion(0), Catalog::builtin(), &setup.policy);
                 let mut ppo = Ppo::new(&setup.policy, 1, &setup.device.open().unwrap(), 1);
-                let mut progress = Progress {
-                    rng: &mut ChaCha8Rng::seed_from_u64(3),
-                    learning_rate: &mut LearningRate(1e-3),
-                    values: &mut ValueStatistics::default(),
-                    n_env_steps: 0,
-                };
-                let learned = ppo.update(&mut batch, &setup.config, &mut progress);
+                let mut state = Learner::new(setup.clone()).unwrap().state;
+                let learned = ppo.update(&mut batch, &setup.config, &mut state);
                 (learned, batch.refused, ppo.parameters)
             };
             let (mut spoilt, mut others) = (drawn.clone(), drawn);

@@ -25,22 +25,16 @@ pub trait Source: Send {
     fn restart(&mut self) {}
 }
 
+/// Maximum time that [`Arrivals`] waits in a call.
+const PATIENCE: Duration = Duration::from_millis(100);
+
 /// Trajectories that other processes or threads put into the mailbox.
 #[derive(Debug)]
-pub struct Arrivals {
-    /// Maximum duration of a call.
-    pub patience: Duration,
-}
-
-impl Default for Arrivals {
-    fn default() -> Self {
-        Self { patience: Duration::from_millis(100) }
-    }
-}
+pub struct Arrivals;
 
 impl Source for Arrivals {
     fn next(&mut self, mailbox: &Mailbox, _: &Weights, n_steps: usize) -> anyhow::Result<Vec<Trajectory>> {
-        mailbox.wait(n_steps, self.patience);
+        mailbox.wait(n_steps, PATIENCE);
         Ok(mailbox.take(n_steps))
     }
 }

@@ -23,8 +23,7 @@ pub use self::output::{SAVE_RETRY, Summary};
 use crate::batch::Batch;
 use crate::episodes::EpisodeTally;
 use crate::learner::Learner;
-use crate::metrics::{Update, UpdateMetrics};
-use crate::ppo::Progress;
+use crate::metrics::UpdateResult;
 use crate::source::Source;
 use crate::trial::Trial;
 
@@ -72,10 +71,10 @@ impl Trainer {
         source.restart();
         output.publish_first();
         while let Some(n_steps) = output.next_steps(learner) {
-            let trajectories = source.next(&learner.mailbox(), output.newest(), n_steps)?;
+            let trajectories = source.next(&learner.mailbox(), &output.newest, n_steps)?;
             output.start_update();
             let Some(update) = learner.update(trajectories) else { continue };
-            output.publish(learner, &update);
+            output.publish(learner, &update.metrics);
             n_refused = if update.refused.is_some() { n_refused + 1 } else { 0 };
             let has_diverged = n_refused == MAX_REFUSED;
             if output.save(learner, has_diverged)? {
@@ -93,7 +92,7 @@ impl Learner {
     /// Runs one update; `None` without trajectories.
     ///
     /// If no policy could act with the new weights, the update is taken back: its steps count, the weights stay.
-    pub fn update(&mut self, trajectories: Vec<Trajectory>) -> Option<UpdateMetrics> {
+    pub fn update(&mut self, trajectories: Vec<Trajectory>) -> Option<UpdateResult> {
         if trajectories.is_empty() {
             return None;
         }
@@ -107,7 +106,7 @@ impl Learner {
         // The statistics come from raw features and take effect with the next weights.
         let statistics = self.statistics_after(&batch);
         normalize(&mut batch.features, &self.state.normalization);
-        let learned = self.ppo.update(&mut batch, &self.setup.config, &mut Progress::of(&mut self.state));
+        let learned = self.ppo.update(&mut batch, &self.setup.config, &mut self.state);
         self.adopt(statistics);
         self.state.version.0 += 1;
 
@@ -117,11 +116,11 @@ impl Learner {
             self.take_back(before);
         }
         self.count(n_steps, &episodes, &batch);
-        Some(self.metrics(Update { batch: &batch, n_steps, learned, episodes: episodes.metrics(), refused }))
+        Some(self.result(&batch, n_steps, learned, episodes.metrics(), refused))
     }
 
     /// Runs one [update](Self::update) on the oldest trajectories of the mailbox; `None` if there are not enough.
-    pub fn update_from_mailbox(&mut self) -> Option<UpdateMetrics> {
+    pub fn update_from_mailbox(&mut self) -> Option<UpdateResult> {
         self.update(self.mailbox.take(self.setup.config.batch_size))
     }
 

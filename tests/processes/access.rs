@@ -3,11 +3,11 @@
 use std::fs;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use crate::support::judges::{output_of_script, python};
-use crate::support::program::{finished, lodestone, refused};
+use crate::support::program::{finished, lodestone, quiet, refused};
 use crate::support::served::Process;
 use serde_json::{Value, json};
 
@@ -72,12 +72,6 @@ impl Ring {
         let watched = command.args(["--run", "smoke"]).stdout(Stdio::piped()).output().unwrap();
         String::from_utf8(watched.stdout).unwrap()
     }
-}
-
-fn quiet(folder: &Path, args: &[&str]) -> Command {
-    let mut command = lodestone(folder);
-    command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    command
 }
 
 /// Calls `ask` until it returns a value.

@@ -1,6 +1,5 @@
 //! The best policy of a run, beside its newest checkpoint.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Output, Stdio};
 
@@ -9,7 +8,7 @@ use runlog::series::outcome_of;
 use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
-use crate::support::program::{finished, lodestone, n_saved_steps, printed};
+use crate::support::program::{finished, lines, lodestone, n_saved_steps, printed_json};
 use crate::support::served::{Process, train};
 
 /// Trains a small run that evaluates its weights all the time.
@@ -78,12 +77,11 @@ fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes
     let mut playing = lodestone(folder.path());
     let playing = playing.args(["play", "--checkpoint", "run", "2_000", "--episodes", "1"]);
     let mut playing = Process(playing.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
-    let mut lines = BufReader::new(playing.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let mut lines = lines(playing.0.stderr.take().unwrap());
     assert!(lines.any(|line| line.contains(said)));
 
     let again = ["train", "--resume", "run", "--steps", &newest.to_string(), "--json", "--no-web"];
-    let summary: serde_json::Value = serde_json::from_str(&printed(lodestone(folder.path()).args(again))).unwrap();
-    assert_eq!(summary["n_env_steps"], newest);
+    assert_eq!(printed_json(lodestone(folder.path()).args(again))["n_env_steps"], newest);
 
     // Nothing but a damaged file keeps the newest from taking its place.
     std::fs::write(run.best(), "damaged").unwrap();

@@ -8,8 +8,7 @@ use crate::support::played::{errors, played};
 use crate::support::served::{Process, endless, interrupt, page};
 use crate::support::webdriver::Browser;
 use blueprints::Catalog;
-use runlog::Evaluation;
-use runlog::{History, RunPaths};
+use runlog::{Evaluation, History, RunPaths};
 use serde_json::{Value, json};
 
 /// Maximum size of the page without its history, in bytes.

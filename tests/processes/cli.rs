@@ -1,11 +1,10 @@
 //! How the program responds to misuse: it names what is wrong and what would be valid, and exits with the right code.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::judges::{output_of_script, python};
-use crate::support::program::{finished, lodestone, names, printed, refused};
+use crate::support::program::{finished, kill, lines, lodestone, names, printed, printed_json, read_json, refused};
 
 /// Expects this exit code and all of `words` on stderr.
 fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, code: i32, words: &[&str]) {
@@ -290,11 +289,10 @@ fn an_interrupted_evaluation_says_what_it_has_found() {
     let mut command = lodestone(folder.path());
     command.args(["eval", "--expert", "--blueprint", "16_000", "--episodes", "10000", "--json"]);
     let mut evaluation = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let mut lines = BufReader::new(evaluation.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let mut lines = lines(evaluation.stderr.take().unwrap());
     // Wait until some episodes have ended.
     lines.find(|line| line.contains("of 10000 episodes")).unwrap();
-    let killed = Command::new("kill").args(["-INT", &evaluation.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    kill("-INT", evaluation.id());
     let output = evaluation.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130));
     assert!(lines.any(|line| line.contains("error: interrupted after")));
@@ -307,8 +305,7 @@ fn an_interrupted_evaluation_says_what_it_has_found() {
 #[test]
 fn the_catalog_is_listed_and_checked() {
     let folder = tempfile::tempdir().unwrap();
-    let listed = printed(lodestone(folder.path()).args(["blueprints", "list", "--json"]));
-    let rows: serde_json::Value = serde_json::from_str(&listed).unwrap();
+    let rows = printed_json(lodestone(folder.path()).args(["blueprints", "list", "--json"]));
     let is_two_block = |row: &&serde_json::Value| row["n_blocks"] == 2 && row["split"] == "train";
     assert_eq!(rows.as_array().unwrap().iter().filter(is_two_block).count(), 14);
     finished(lodestone(folder.path()).args(["blueprints", "check"]));
@@ -344,8 +341,7 @@ fn a_drawing_of_types_and_places_is_completed() {
     assert!(whole.starts_with("id = \"corner\"") && whole.contains("\"-z(0,0,0) +z(2,0,0)\""), "{whole}");
     // No file is replaced.
     refused(lodestone(folder.path()).args(check), 64, &[]);
-    let listed = printed(lodestone(folder.path()).args(["blueprints", "list", "corner.toml", "--json"]));
-    let rows: serde_json::Value = serde_json::from_str(&listed).unwrap();
+    let rows = printed_json(lodestone(folder.path()).args(["blueprints", "list", "corner.toml", "--json"]));
     assert_eq!((&rows[0]["id"], &rows[0]["n_connections"]), (&"corner".into(), &1.into()));
 }
 
@@ -390,8 +386,7 @@ fn the_expert_is_evaluated_and_its_failures_are_explained() {
     let folder = tempfile::tempdir().unwrap();
     let judge = |args: &[&str]| {
         let eval = ["eval", "--expert", "--episodes", "2", "--json"];
-        let report = printed(lodestone(folder.path()).args(eval).args(args));
-        serde_json::from_str::<serde_json::Value>(&report).unwrap()
+        printed_json(lodestone(folder.path()).args(eval).args(args))
     };
     // A generated blueprint works like one from the catalog.
     let good = judge(&["--blueprint", "2_000", "--blueprint", "gen1-any-0_6_000"]);
@@ -401,8 +396,7 @@ fn the_expert_is_evaluated_and_its_failures_are_explained() {
     assert_eq!(judge(&["--blueprint", "2_000", "--set", "environment.n_grippers=1"])["groups"][0]["n_built"], 1);
     let bad = judge(&["--blueprint", "16_000", "--set", "environment.episode_steps=5", "--explain", "why"]);
     assert_eq!(bad["groups"][0]["outcome"]["success"]["n_successes"], 0);
-    let causes = std::fs::read_to_string(folder.path().join("why/failures.json")).unwrap();
-    let causes: serde_json::Value = serde_json::from_str(&causes).unwrap();
+    let causes = read_json(&folder.path().join("why/failures.json"));
     assert_eq!((causes[0]["cause"].as_str(), causes[1]["episode_idx"].as_u64()), (Some("time"), Some(1)));
     let replay = folder.path().join("why").join(causes[0]["replay"].as_str().unwrap());
     let replay = proto::codec::decode_recording(&std::fs::read(replay).unwrap()).unwrap();

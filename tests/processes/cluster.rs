@@ -1,12 +1,11 @@
 //! Router, learner, actors, and evaluator as separate processes over TCP, killed and replaced while they work.
 
-use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::judges::{output_of, output_of_script, python};
-use crate::support::program::{lodestone, n_saved_steps, refused};
+use crate::support::program::{kill, lines, lodestone, metrics, n_saved_steps, printed_json, quiet, refused};
 use crate::support::served::Process;
 
 /// The task of CI's learning test, saved often enough that a process can be killed at any time, and evaluated from the
@@ -29,13 +28,13 @@ impl Cluster {
         // This port was free a moment ago. Members retry until the router listens on it.
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let endpoint = format!("tcp/127.0.0.1:{port}");
-        let router = command(folder.path()).args(["router", "--listen", &endpoint]).spawn().unwrap();
+        let router = quiet(folder.path(), &["router", "--listen", &endpoint]).spawn().unwrap();
         Self { folder, endpoint, _router: Process(router) }
     }
 
     fn member(&self, role: &str, args: &[&str]) -> Process {
-        let mut command = command(self.folder.path());
-        command.args([role, "--connect", &self.endpoint]).args(args);
+        let mut command = quiet(self.folder.path(), &[role, "--connect", &self.endpoint]);
+        command.args(args);
         if !args.contains(&"--resume") {
             command.args(TASK);
         }
@@ -58,20 +57,13 @@ impl Cluster {
 
     /// Success rate of the newest checkpoint with greedy actions, from starts near the goal.
     fn success_rate(&self) -> f64 {
-        let evaluated = lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]).output().unwrap();
-        let report: serde_json::Value = serde_json::from_slice(&evaluated.stdout).unwrap();
+        let report = printed_json(lodestone(self.folder.path()).args(["eval", "--checkpoint", "run", "--json"]));
         report["summary"]["all"]["greedy"]["success"]["rate"].as_f64().unwrap()
     }
 
     fn n_saved_steps(&self) -> u64 {
         n_saved_steps(&self.folder.path().join("run"))
     }
-}
-
-fn command(folder: &Path) -> Command {
-    let mut command = lodestone(folder);
-    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    command
 }
 
 #[test]
@@ -90,14 +82,11 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     let saved = cluster.learn(["--resume", "run"], saved + 2048);
 
     // A learner without a step limit, killed after it has saved twice.
-    let mut endless = command(cluster.folder.path())
-        .args(["learner", "--connect", &cluster.endpoint, "--resume", "run", "--steps", "1000000000"])
-        .stderr(Stdio::piped())
-        .spawn()
-        .map(Process)
-        .unwrap();
-    let lines = BufReader::new(endless.0.stderr.take().unwrap()).lines();
-    assert_eq!(lines.filter(|line| line.as_ref().unwrap().contains("saved")).take(2).count(), 2);
+    let resume = ["learner", "--connect", &cluster.endpoint, "--resume", "run", "--steps", "1000000000"];
+    let endless = quiet(cluster.folder.path(), &resume).stderr(Stdio::piped()).spawn();
+    let mut endless = Process(endless.unwrap());
+    let said = lines(endless.0.stderr.take().unwrap());
+    assert_eq!(said.filter(|line| line.contains("saved")).take(2).count(), 2);
     endless.0.kill().unwrap();
     endless.0.wait().unwrap();
     let before = cluster.n_saved_steps();
@@ -113,9 +102,8 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     }
     assert!(untrained < 0.5 && trained >= 0.9, "{untrained} before, {trained} after");
     // The evaluator writes its history before it prints the first line of a report.
-    let lines = BufReader::new(evaluator.0.stdout.take().unwrap()).lines();
-    let report = lines.map(Result::unwrap).find(|line| line.starts_with("weights"));
-    assert!(report.is_some(), "the evaluator printed no report");
+    let mut printed = lines(evaluator.0.stdout.take().unwrap());
+    assert!(printed.any(|line| line.starts_with("weights")), "the evaluator printed no report");
     assert!(cluster.folder.path().join("evaluated/metrics.jsonl").is_file());
 }
 
@@ -127,8 +115,8 @@ fn an_actor_with_other_settings_than_the_learner_ends_and_names_the_first() {
         ("policy.mask=none", r#"policy.mask is "blueprint" there and "none" here"#),
         ("environment.magnets.snap_gap_m=0.02", "environment.magnets.snap_gap_m is 0.03 there and 0.02 here"),
     ] {
-        let mut actor = command(cluster.folder.path());
-        actor.args(["actor", "--connect", &cluster.endpoint, "--set", set]).args(TASK).stderr(Stdio::piped());
+        let mut actor = quiet(cluster.folder.path(), &["actor", "--connect", &cluster.endpoint, "--set", set]);
+        actor.args(TASK).stderr(Stdio::piped());
         // Supervisors do not start a process again after 64.
         refused(&mut actor, 64, &[&format!("are of a run with other settings: {difference}")]);
     }
@@ -143,15 +131,14 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     cluster.learn(["--run-dir", "run"], 2048);
 
     let summary = output_of(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--once"]);
-    let record = |key: &str, file: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
-        let recorded = std::fs::read_to_string(cluster.folder.path().join(file)).unwrap();
-        let mut lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-        let mut same = lines.find(|line| line["key"] == key && is_same(line)).unwrap();
+    let record = |key: &str, run: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
+        let mut recorded = metrics(&cluster.folder.path().join(run)).into_iter();
+        let mut same = recorded.find(|line| line["key"] == key && is_same(line)).unwrap();
         same.as_object_mut().unwrap().remove("key");
         same
     };
     let version = |line: &serde_json::Value| line["weights_version"] == summary["weights_version"];
-    assert_eq!(summary, record("eval/summary", "evaluated/metrics.jsonl", &version));
+    assert_eq!(summary, record("eval/summary", "evaluated", &version));
     assert!(summary["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
 
     let history = output_of(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--history"]);
@@ -165,11 +152,11 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     let path = |folder: &str| cluster.folder.path().join(folder).display().to_string();
     let plotted = output_of(&python, "scalars.py", &[&path("run/tb/learner")]);
     let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
-    let update = record("learner", "run/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    let update = record("learner", "run", &|line| line["n_env_steps"] == *step);
     same(entropy, &update["ppo"]["entropy"]);
     let plotted = output_of(&python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
     let [step, success] = [0, 1].map(|i| &plotted["success-greedy/all"][0][i]);
-    let summary = record("eval/summary", "evaluated/metrics.jsonl", &|line| line["n_env_steps"] == *step);
+    let summary = record("eval/summary", "evaluated", &|line| line["n_env_steps"] == *step);
     same(success, &summary["all"]["greedy"]["success"]["rate"]);
 }
 
@@ -198,16 +185,15 @@ fn trackers_are_told_what_was_recorded() {
         )
     };
     let updates = || {
-        let recorded = std::fs::read_to_string(cluster.folder.path().join("run/metrics.jsonl")).unwrap();
-        let lines = recorded.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-        let updates = lines.filter(|line| line["key"] == "learner");
+        let recorded = metrics(&cluster.folder.path().join("run")).into_iter();
+        let updates = recorded.filter(|line| line["key"] == "learner");
         updates.map(|line| serde_json::json!([line["n_env_steps"], line["ppo"]["entropy"]])).collect::<Vec<_>>()
     };
 
     // Track live: values as they arrive, after the latest one of each key.
     let live = [&cluster.endpoint, "--run", "smoke", "--to", "mlflow", "--config", "run/config.toml"];
     let mut listener = Process(track(&live).spawn().unwrap());
-    let mut lines = BufReader::new(listener.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let mut lines = lines(listener.0.stdout.take().unwrap());
     let mut missing = vec!["learner", "eval/summary"];
     // An evaluation that has ended is told at once, and there may be no other.
     assert!(lines.any(|line| {
@@ -219,7 +205,7 @@ fn trackers_are_told_what_was_recorded() {
         let line = lines.next().expect("it listens until it is told to end");
         missing.retain(|key| !line.contains(key));
     }
-    assert!(Command::new("kill").args(["-TERM", &listener.0.id().to_string()]).status().unwrap().success());
+    kill("-TERM", listener.0.id());
     assert!(listener.0.wait().unwrap().success());
     let kept = tracked("mlflow", &store);
     assert_eq!(kept["config"]["bus.run"], "smoke");

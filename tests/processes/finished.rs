@@ -1,6 +1,5 @@
 //! The web page for finished runs: several side by side, and a static copy that any web server can serve.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -8,7 +7,7 @@ use runlog::RunPaths;
 use serde_json::Value;
 
 use crate::support::played::errors;
-use crate::support::program::{finished, lodestone};
+use crate::support::program::{finished, lines, lodestone, printed_json};
 use crate::support::served::{Process, get, page, train};
 use crate::support::webdriver::Browser;
 use crate::support::written::write_sweep;
@@ -111,7 +110,7 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     let mut command = lodestone(folder.path());
     let trained = train(&mut command).args(["--no-web", "--steps", "2048", "--set", "evaluator.every={versions=1}"]);
     let trained = trained.args(["--set", "evaluator.evaluate_last=true"]);
-    assert!(trained.output().unwrap().status.success());
+    finished(trained);
     let kept: Vec<u64> = RunPaths::new(folder.path().join("run")).snapshots().into_keys().collect();
     let (first, last) = (kept[0], kept[kept.len() - 1]);
     assert!(first < last, "{kept:?}");
@@ -150,8 +149,7 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     // Other commands read a snapshot as well.
     let (kept, eval) =
         (format!("run/snapshots/{first}.safetensors"), ["eval", "--episodes", "1", "--blueprint", "2_000"]);
-    let report = lodestone(folder.path()).args(eval).args(["--json", "--checkpoint", &kept]).output().unwrap();
-    let report: Value = serde_json::from_slice(&report.stdout).unwrap();
+    let report = printed_json(lodestone(folder.path()).args(eval).args(["--json", "--checkpoint", &kept]));
     assert_eq!(report["summary"]["n_env_steps"], first);
 }
 
@@ -165,8 +163,7 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     let mut python = Command::new("python3");
     let files = python.args(["-u", "-m", "http.server", "--bind", "127.0.0.1", "0"]).current_dir(folder.path());
     let mut server = Process(files.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-    let mut line = String::new();
-    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let line = lines(server.0.stdout.take().unwrap()).next().unwrap();
     let address = &line[line.find("http://").unwrap()..line.find("/)").unwrap()];
     let browser = Browser::start(&driver, folder.path());
     browser.open(&format!("{address}/copy/"));

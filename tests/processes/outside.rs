@@ -7,7 +7,7 @@ use std::process::Command;
 
 use blueprints::Catalog;
 
-use crate::support::program::{lodestone, printed, refused};
+use crate::support::program::{lodestone, printed, printed_json, read_json, refused};
 
 #[test]
 fn paths_are_bytes_and_printed_commands_can_be_pasted() {
@@ -19,11 +19,9 @@ fn paths_are_bytes_and_printed_commands_can_be_pasted() {
     assert!(folder.path().join(run).join("checkpoints").is_dir());
     let command = |start: &str| text.lines().find_map(|line| line.trim_start().strip_prefix(start)).unwrap();
     let resume = command("continue it: ").replace("--steps N", "--steps 1 --no-web --json");
-    let resumed = printed(Command::new("bash").args(["-c", &resume]).current_dir(folder.path()));
-    let summary: serde_json::Value = serde_json::from_str(&resumed).unwrap();
+    let summary = printed_json(Command::new("bash").args(["-c", &resume]).current_dir(folder.path()));
     assert_eq!(summary["run_dir"], run.to_string_lossy().as_ref());
-    let meta: serde_json::Value =
-        serde_json::from_slice(&fs::read(folder.path().join(run).join("meta.json")).unwrap()).unwrap();
+    let meta = read_json(&folder.path().join(run).join("meta.json"));
     assert_eq!(meta["resumed_from"], run.to_string_lossy().as_ref());
 
     let long = "x".repeat(255);
@@ -35,7 +33,7 @@ fn paths_are_bytes_and_printed_commands_can_be_pasted() {
     fs::write(folder.path().join(goal), text.replace("\"2_003\"", "\"mine\"")).unwrap();
     let mut eval = lodestone(folder.path());
     let eval = eval.args(["eval", "--episodes", "1", "--json"]).arg("--blueprint").arg(goal).arg("--checkpoint");
-    let report: serde_json::Value = serde_json::from_str(&printed(eval.arg(model))).unwrap();
+    let report = printed_json(eval.arg(model));
     assert_eq!(report["blueprints"][0]["blueprint"], "mine");
 }
 

@@ -1,11 +1,10 @@
 //! Recorded episodes: trajectories for `render`.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use proto::codec::decode_recording;
 
-use crate::support::program::{finished, lodestone, names, printed, refused};
+use crate::support::program::{finished, kill, lines, lodestone, names, printed, refused};
 
 #[test]
 fn a_recording_has_the_episodes_that_were_asked_for_and_can_be_shown() {
@@ -33,10 +32,9 @@ fn an_interrupted_recording_has_whole_episodes() {
     recording.args(["record", "--expert", "--blueprint", "2_000", "--episodes", "10000", "--out", "played"]);
     recording.env("RUST_LOG", "lodestone=debug,deploy=debug").stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut recording = recording.spawn().unwrap();
-    let mut lines = BufReader::new(recording.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let mut lines = lines(recording.stderr.take().unwrap());
     assert!(lines.any(|line| line.contains("an episode was kept")));
-    let status = Command::new("kill").args(["-INT", &recording.id().to_string()]).status().unwrap();
-    assert!(status.success());
+    kill("-INT", recording.id());
     let rest: Vec<String> = lines.collect();
     assert_eq!(recording.wait().unwrap().code(), Some(130), "{rest:?}");
     let played = folder.path().join("played");

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use runlog::RunPaths;
 
-use crate::support::program::{lodestone, names, printed, refused};
+use crate::support::program::{lodestone, names, printed, printed_json, refused};
 use crate::support::written::{write_run, write_sweep};
 
 fn report(folder: &Path, args: &[&str]) -> Command {
@@ -34,8 +34,7 @@ fn tables_are_written() {
     let table = std::fs::read_to_string(folder.path().join("run/report/groups.md")).unwrap();
     assert!(table.contains("| train 2-6 | 2 | greedy | 8 | 100.0 % |"), "{table}");
 
-    let summary: serde_json::Value =
-        serde_json::from_str(&printed(&mut report(folder.path(), &["run", "--json"]))).unwrap();
+    let summary = printed_json(&mut report(folder.path(), &["run", "--json"]));
     assert_eq!((summary["n_evaluations"].as_u64(), summary["n_env_steps"].as_u64()), (Some(3), Some(700)));
     assert_eq!(summary["groups"][0]["name"], "train 2-6");
     assert_eq!(summary["groups"][0]["success"]["n_episodes"], 8);
@@ -70,8 +69,7 @@ fn tables_of_a_sweep_are_written() {
     let curves = read("curves.csv");
     assert!(curves.contains("\nlearner.gamma=0.9,500,train 2-6,greedy,2,2,1,1,1,1,1,1\n"), "{curves}");
     assert_eq!(curves.lines().count(), 1 + 2 * 2, "two evaluations of both points");
-    let summary: serde_json::Value =
-        serde_json::from_str(&printed(&mut report(folder.path(), &["s", "--json"]))).unwrap();
+    let summary = printed_json(&mut report(folder.path(), &["s", "--json"]));
     assert_eq!(summary["sweep"]["points"][1]["curve"][1]["n_env_steps"], 1000);
     assert_eq!(summary["files"].as_array().unwrap().len(), 3);
 }

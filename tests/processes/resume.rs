@@ -1,12 +1,12 @@
 //! Restarting a run without knowing how it ended.
 
 use std::fs;
-use std::io::{BufRead, BufReader, Write};
+use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::judges::{output_of, python};
-use crate::support::program::{finished, lodestone, n_saved_steps, refused};
+use crate::support::program::{finished, lines, lodestone, metrics, n_saved_steps, read_json, refused};
 use crate::support::served::Process;
 
 /// The one command that a supervisor would run. Every update is saved, so the run can be killed at any time.
@@ -28,8 +28,7 @@ fn train(folder: &Path) -> Command {
 /// Starts a training and waits until it has saved `n` times.
 fn trained(folder: &Path, n: usize) -> Process {
     let mut training = Process(train(folder).args(["--steps", "1000000000"]).spawn().unwrap());
-    let lines = BufReader::new(training.0.stderr.as_mut().unwrap()).lines();
-    let saved = lines.map(Result::unwrap).filter(|line| line.contains("saved"));
+    let saved = lines(training.0.stderr.as_mut().unwrap()).filter(|line| line.contains("saved"));
     assert_eq!(saved.take(n).count(), n);
     training
 }
@@ -43,8 +42,7 @@ fn one_command_starts_a_run_and_continues_it_after_a_kill() {
     drop(trained(folder.path(), 1));
     let second = n_saved_steps(&run);
     assert!(second > first, "{second} after {first}");
-    let meta: serde_json::Value = serde_json::from_slice(&fs::read(run.join("meta.json")).unwrap()).unwrap();
-    assert_eq!(meta["resumed_from"], "run");
+    assert_eq!(read_json(&run.join("meta.json"))["resumed_from"], "run");
 
     // A run that already has its steps ends at once, and successfully.
     finished(train(folder.path()).args(["--steps", "1"]));
@@ -61,10 +59,9 @@ fn steps_only_grow_for_readers_of_a_run_that_was_killed() {
     let saved = n_saved_steps(&run);
     fs::OpenOptions::new().append(true).open(run.join("metrics.jsonl")).unwrap().write_all(b"{\"key\":").unwrap();
     drop(trained(folder.path(), 2));
-    let text = fs::read_to_string(run.join("metrics.jsonl")).unwrap();
-    let lines = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-    let steps: Vec<u64> =
-        lines.filter(|line| line["key"] == "learner").map(|line| line["n_env_steps"].as_u64().unwrap()).collect();
+    let recorded = metrics(&run);
+    let updates = recorded.iter().filter(|line| line["key"] == "learner");
+    let steps: Vec<u64> = updates.map(|line| line["n_env_steps"].as_u64().unwrap()).collect();
     assert!(steps.is_sorted_by(|a, b| a < b) && steps.contains(&saved), "{steps:?}, resumed at {saved}");
     let Some(python) = python() else { return };
     let plotted = output_of(&python, "scalars.py", &[&run.join("tb/learner").display().to_string()]);
@@ -79,9 +76,7 @@ fn a_run_that_was_ended_before_its_first_checkpoint_begins_again() {
     drop(trained(folder.path(), 1));
     fs::remove_dir_all(folder.path().join("run/checkpoints")).unwrap();
     drop(trained(folder.path(), 1));
-    let meta = fs::read(folder.path().join("run/meta.json")).unwrap();
-    let meta: serde_json::Value = serde_json::from_slice(&meta).unwrap();
-    assert_eq!(meta["resumed_from"], serde_json::Value::Null);
+    assert_eq!(read_json(&folder.path().join("run/meta.json"))["resumed_from"], serde_json::Value::Null);
 }
 
 #[test]

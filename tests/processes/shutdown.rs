@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -12,7 +12,7 @@ use bus::Bus;
 use proto::Role;
 use serde_json::Value;
 
-use crate::support::program::{finished, lodestone, n_saved_steps, refused};
+use crate::support::program::{finished, kill, lines, lodestone, n_saved_steps, refused};
 use crate::support::served::{Process, train};
 
 /// A router that takes connections and never answers.
@@ -32,13 +32,8 @@ impl Silent {
         let mut late = lodestone(folder);
         late.args(["actor", "--connect", &self.endpoint()]).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut late = Process(late.spawn().unwrap());
-        let mut lines = BufReader::new(late.0.stderr.take().unwrap()).lines().map(Result::unwrap);
-        assert!(lines.any(|line| line.contains("no router answers")));
+        assert!(lines(late.0.stderr.take().unwrap()).any(|line| line.contains("no router answers")));
     }
-}
-
-fn kill(signal: &str, pid: u32) {
-    assert!(Command::new("kill").args([signal, &pid.to_string()]).status().unwrap().success());
 }
 
 #[test]
@@ -181,8 +176,8 @@ async fn nobody_prints_the_progress_of_another_process() {
         second.args(if role == "learner" { ["--run-dir", "run"] } else { ["--id", "twin"] });
         let mut second = Process(second.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
         let printed = tokio::task::spawn_blocking(move || {
-            let mut lines = BufReader::new(second.0.stderr.take().unwrap()).lines().map(Result::unwrap);
-            assert!(lines.any(|line| line.contains("the name is in use")));
+            let mut said = lines(second.0.stderr.take().unwrap());
+            assert!(said.any(|line| line.contains("the name is in use")));
             kill("-TERM", second.0.id());
             let mut printed = String::new();
             second.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();

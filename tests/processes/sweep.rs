@@ -1,11 +1,10 @@
 //! A sweep: it trains its points, survives its end at any time, and compares what there is.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::program::{check_refused, lodestone, printed, refused};
+use crate::support::program::{check_refused, lines, lodestone, printed, refused};
 use crate::support::served::{Process, interrupt};
 
 /// Settings of a training that takes a moment.
@@ -44,7 +43,7 @@ fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
     let until = |done: &str, begun: &str| {
         let mut command = sweep(folder.path(), &args);
         let mut running = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-        let mut lines = BufReader::new(running.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let mut lines = lines(running.0.stdout.take().unwrap());
         let mut see = |run: &str, what: &str| {
             assert!(lines.any(|line| line.starts_with(run) && line.contains(what)), "{run} {what}");
         };

@@ -1,10 +1,9 @@
 //! A training with the real program: it learns, saves, can be evaluated and resumed, and shuts down gracefully on a
 //! signal.
 
-use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use crate::support::program::{finished, lodestone, n_saved_steps, refused};
+use crate::support::program::{finished, kill, lines, lodestone, n_saved_steps, printed_json, refused};
 
 /// Settings small enough to run in seconds: updates of 256 steps, each of which is saved.
 const SMALL: [&str; 9] = [
@@ -33,12 +32,11 @@ fn a_run_is_saved_evaluated_and_continued() {
     let evaluations = runlog::History::read(&runlog::RunPaths::new(&run_dir).history()).unwrap();
     assert_eq!(evaluations.last().unwrap().n_env_steps, n_steps, "the last weights were evaluated as well");
 
-    let evaluated = finished(
+    let report = printed_json(
         lodestone(folder.path())
             .args(["eval", "--checkpoint", "run/checkpoints", "--episodes", "2", "--json"])
             .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
     );
-    let report: serde_json::Value = serde_json::from_slice(&evaluated.stdout).unwrap();
     assert!(report["summary"]["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(report["summary"]["n_env_steps"], n_steps);
     let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
@@ -100,13 +98,11 @@ fn signaled(signal: &str) -> (bool, u64) {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let mut lines = lines(child.stdout.take().unwrap());
     // The learner's first line means that everything is running and has learned.
-    lines.find(|line| line.as_ref().unwrap().contains("steps/s")).unwrap().unwrap();
-    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
-    for line in lines {
-        line.unwrap();
-    }
+    assert!(lines.any(|line| line.contains("steps/s")));
+    kill(signal, child.id());
+    lines.for_each(drop);
     (child.wait().unwrap().success(), n_saved_steps(&folder.path().join("run")))
 }
 
@@ -130,11 +126,8 @@ fn a_signal_drains_and_saves_though_nobody_reads_what_is_said() {
         .spawn()
         .unwrap();
     drop(child.stderr.take());
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    lines.find(|line| line.as_ref().unwrap().contains("steps/s")).unwrap().unwrap();
-    drop(lines);
-    let killed = Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
+    assert!(lines(child.stdout.take().unwrap()).any(|line| line.contains("steps/s")));
+    kill("-TERM", child.id());
     assert!(child.wait().unwrap().success());
     let n_steps = n_saved_steps(&folder.path().join("run"));
     assert!((256..40960).contains(&n_steps), "{n_steps}: it went on to its end");

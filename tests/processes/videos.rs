@@ -1,12 +1,12 @@
 //! Videos of a training, of its recordings, of a running actor, and of what a network attends to.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 
 use crate::support::judges::{output_of, python};
-use crate::support::program::{finished, lodestone, refused};
+use crate::support::program::{finished, kill, lines, lodestone, refused};
 use crate::support::served::{Process, page};
 
 /// Settings small enough to run in seconds, with a goal that an untrained policy builds in some episodes.
@@ -44,9 +44,9 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let mut training = lodestone(folder.path());
     training.args(["train", "--run-dir", "run", "--listen", &endpoint]).args(SMALL).env("RUST_LOG", "evaluator=debug");
     let mut training = Process(training.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
-    let mut lines = BufReader::new(training.0.stderr.take().unwrap()).lines().map(Result::unwrap);
-    let recorded = lines.by_ref().find(|line| line.contains("a video of an evaluation"));
-    assert!(recorded.is_some(), "the first pass has an end, whatever it is");
+    let mut lines = lines(training.0.stderr.take().unwrap());
+    let is_recorded = lines.any(|line| line.contains("a video of an evaluation"));
+    assert!(is_recorded, "the first pass has an end, whatever it is");
     // A full pipe would block the program, so keep reading its log.
     let rest = std::thread::spawn(move || lines.count());
 
@@ -55,7 +55,7 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let [live] = files(&folder.path().join("live")).try_into().unwrap();
     assert!(live.file_name().unwrap().to_str().unwrap().starts_with("local-01-5_001-"), "{live:?}");
 
-    finished(Command::new("kill").args(["-TERM", &training.0.id().to_string()]));
+    kill("-TERM", training.0.id());
     assert!(training.0.wait().unwrap().success());
     rest.join().unwrap();
     let replays = files(&run.join("replays"));
@@ -75,7 +75,7 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let (mut playing, printed, _) = page(lodestone(folder.path()).args(play));
     let mut lines = printed.lines().map(Result::unwrap);
     assert!(lines.any(|line| line.starts_with("train 2_001")), "it is evaluated once");
-    finished(Command::new("kill").args(["-TERM", &playing.0.id().to_string()]));
+    kill("-TERM", playing.0.id());
     assert!(playing.0.wait().unwrap().success());
     assert_eq!(files(&folder.path().join("played/replays")).len(), 1);
 

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Lines};
 use std::path::Path;
 use std::process::{ChildStdout, Command, Output, Stdio};
 
-use crate::support::program::{check_refused, lodestone, refused};
+use crate::support::program::{check_refused, lines, lodestone, refused};
 use crate::support::served::{Process, interrupt, train};
 use bus::{Bus, MetricsPublisher};
 use proto::Role;
@@ -147,8 +147,8 @@ fn a_training_is_found_by_its_folder_and_without_any_name() {
     let mut training = lodestone(&runs);
     train(&mut training).args(["--steps", "1000000000", "--no-web"]).stdout(Stdio::piped()).stderr(Stdio::null());
     let mut training = Process(training.spawn().unwrap());
-    let mut lines = BufReader::new(training.0.stdout.take().unwrap()).lines().map(Result::unwrap);
-    assert!(lines.any(|line| line.contains("steps/s")));
+    let mut printed = lines(training.0.stdout.take().unwrap());
+    assert!(printed.any(|line| line.contains("steps/s")));
     let watch = |args: &[&str]| lodestone(folder.path()).args(["watch", "--once"]).args(args).output().unwrap();
     for args in [&[][..], &["runs/run"]] {
         let output = watch(args);

@@ -5,7 +5,7 @@ use std::io::Read;
 use std::net::{TcpListener, TcpStream};
 
 use crate::support::judges::{output_of, python};
-use crate::support::program::{lodestone, n_saved_steps, printed, refused};
+use crate::support::program::{lodestone, metrics, n_saved_steps, printed, refused};
 use crate::support::served::{client, endless, events, get, interrupt, page, train};
 use runlog::{History, RunPaths};
 use serde_json::Value;
@@ -73,11 +73,9 @@ fn prometheus_reads_the_numbers_that_were_recorded() {
     assert_eq!(samples("eval_group_episodes", "gauge")["greedy train 2-6"], success.n_episodes as f64);
     assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["greedy 5_001 train"], success.rate);
 
-    let recorded = std::fs::read_to_string(folder.path().join("run/metrics.jsonl")).unwrap();
-    let mut lines = recorded.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
     let n_updates = samples("learner_updates", "counter")[""];
     let is_same = |line: &Value| line["key"] == "learner" && line["n_updates"].as_f64() == Some(n_updates);
-    let learner = lines.find(is_same).unwrap();
+    let learner = metrics(&folder.path().join("run")).into_iter().find(is_same).unwrap();
     let recorded = |value: &Value| value.as_f64().unwrap();
     assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
     assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));

@@ -7,7 +7,7 @@ use evaluator::{EvalSetup, N_WORLDS, Selection, evaluate};
 use learner::{Learner, LearnerSetup};
 use proto::Valid;
 
-/// A preset trained in lockstep: worlds pause while the learner updates.
+/// A training in lockstep: worlds pause while the learner updates.
 struct Ring {
     config: Valid<Config>,
     learner: Learner,
@@ -15,17 +15,13 @@ struct Ring {
 }
 
 impl Ring {
-    fn config(preset: &str, change: impl FnOnce(&mut Config)) -> Valid<Config> {
-        let preset = PRESETS.iter().find(|known| known.name == preset).unwrap();
+    /// Starts a training with the preset `quickstart` after `change`.
+    fn new(change: impl FnOnce(&mut Config)) -> Self {
+        let preset = PRESETS.iter().find(|known| known.name == "quickstart").unwrap();
         let mut config = Config::parse(preset.text, preset.name).unwrap();
-        // All segments of a step arrive at once, and segments that find the mailbox full are not sent again.
-        config.learner.mailbox.capacity_steps *= 2;
         change(&mut config);
-        config.checked().unwrap()
-    }
-
-    fn setup(config: &Valid<Config>) -> LearnerSetup {
-        LearnerSetup {
+        let config = config.checked().unwrap();
+        let setup = LearnerSetup {
             config: config.part(|config| &config.learner),
             policy: config.part(|config| &config.policy),
             catalog: Catalog::builtin().clone(),
@@ -35,11 +31,8 @@ impl Ring {
             seed: config.seed,
             device: config.device,
             init: None,
-        }
-    }
-
-    fn new(config: Valid<Config>) -> Self {
-        let learner = Learner::new(Self::setup(&config)).unwrap();
+        };
+        let learner = Learner::new(setup).unwrap();
         let worlds = Lockstep::new(ActorSetup {
             config: config.part(|config| &config.actor),
             policy: config.part(|config| &config.policy),
@@ -82,12 +75,12 @@ impl Ring {
 #[test]
 fn rewards_alone_teach_five_blocks_from_scattered_starts() {
     let ids = ["5_001", "5_003"].map(|id| id.parse().unwrap()).to_vec();
-    let mut ring = Ring::new(Ring::config("quickstart", |config| {
+    let mut ring = Ring::new(|config| {
         config.actor.tasks.filter = TaskFilter::Blueprints(ids.clone());
         config.evaluator.selection =
             Selection { splits: vec![blueprints::Split::Train], sizes: [5, 5], blueprints: ids };
         config.evaluator.episodes.n_episodes = 20;
-    }));
+    });
     let untrained = ring.success_rate();
     let mut trained = untrained;
     // With a Gaussian head, two blocks alone take a hundred times as many steps.

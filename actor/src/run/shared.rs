@@ -54,7 +54,6 @@ pub(super) struct Shared {
     pub(super) counted: CancellationToken,
 }
 
-/// Progress of a thread.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Progress {
     pub(super) counters: RolloutCounters,

@@ -90,7 +90,7 @@ pub(super) async fn run_learner(
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let (metrics_sender, metrics) = watch::channel(None);
-    let source = Box::new(Arrivals::default());
+    let source = Box::new(Arrivals);
     let options = run_options(setup, config, &run_dir, origin.checkpoint, source, metrics_sender);
     let mut shown = None;
     let mut is_complete = false;

@@ -115,7 +115,7 @@ pub(super) async fn run(
     let reports = channels.reports.subscribe();
     let source: Box<dyn Source> = match config.lockstep {
         true => Box::new(InProcess::new(config, goals.catalog.clone())),
-        false => Box::new(Arrivals::default()),
+        false => Box::new(Arrivals),
     };
     let options = |metrics| services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
     let services = Services { config, catalog: &goals.catalog, bus: &bus, folder: run_dir.path(), terminal, shutdown };

@@ -6,10 +6,11 @@ use std::fmt;
 use blueprints::BlueprintId;
 use environment::{Activity, ExpertAgent, Step};
 use parking_lot::Mutex;
-use proto::{ActionMode, ActorId, BehaviorPolicy, Joint, Observation, Scene, Trajectory, WeightsVersion};
+use proto::{ActionMode, Observation, Scene, Trajectory};
 use serde::{Deserialize, Serialize};
 
-use crate::recording::Recording;
+use crate::connections::Connections;
+use crate::recording::{Credits, Recording};
 use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
@@ -95,8 +96,7 @@ pub(super) struct Diary {
     trouble: Trouble,
     has_no_order: bool,
     has_fetched: bool,
-    n_right: u32,
-    steps_since_gain: u32,
+    connections: Connections,
 }
 
 impl Diaries {
@@ -111,7 +111,14 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
     type Record = Diary;
 
     fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<Diary> {
-        Some(Diary::new(place, start))
+        Some(Diary {
+            place,
+            recording: Recording::default(),
+            trouble: Trouble::default(),
+            has_no_order: false,
+            has_fetched: false,
+            connections: Connections::new(start),
+        })
     }
 
     fn observe(&self, diary: &mut Diary, step: Step, agent: &ExpertAgent, row: usize, after: Observation<'_>) {
@@ -120,10 +127,7 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
 
     fn end(&self, diary: Diary, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
         let (place, trouble) = (diary.place, diary.trouble(result.end));
-        let replay = ActorId::try_from("expert".to_owned()).ok().and_then(|actor| {
-            let (behavior_policy, version) = (BehaviorPolicy::Expert, WeightsVersion(0));
-            diary.recording.into_trajectory(actor, behavior_policy, version, spec.task(), last, result)
-        });
+        let replay = diary.recording.into_trajectory(Credits::of_expert(), &spec.task, last, result);
         let mut kept = self.0.lock();
         match (result.end, replay) {
             (End::Success { .. }, Some(replay)) => {
@@ -139,12 +143,6 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
 }
 
 impl Diary {
-    fn new(place: Place, start: Observation<'_>) -> Self {
-        let n_right = count(start.scene, |joint| joint.is_right(start.blueprint));
-        let (recording, trouble) = (Recording::default(), Trouble::default());
-        Self { place, recording, trouble, has_no_order: false, has_fetched: false, n_right, steps_since_gain: 0 }
-    }
-
     /// Records a step: the step itself, its purpose (`None` without an order of assembly), and the resulting
     /// observation.
     fn note(&mut self, step: Step, activity: Option<Activity>, after: Observation<'_>) {
@@ -158,37 +156,37 @@ impl Diary {
             Some(Activity::Settling) => {}
             None => self.has_no_order = true,
         }
-        let (before, Observation { scene: after, blueprint, .. }) = (&step.scene, after);
-        let is_new = |joint: &Joint| !before.joints.contains(joint);
-        trouble.n_wrong_snaps += count(after, |joint| is_new(joint) && !joint.is_right(blueprint));
-        trouble.n_breaks += count(before, |joint| !after.joints.contains(joint) && joint.is_right(blueprint));
-        let n_right = count(after, |joint| joint.is_right(blueprint));
-        self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
-        self.n_right = n_right;
-        trouble.n_wrong_left = after.joints.len() as u32 - n_right;
-        trouble.n_missing = blueprint.links().len() as u32 - n_right;
+        self.connections.note(&step.scene, after);
         self.recording.push(step);
     }
 
     /// Returns the statistics of an episode with this end, including the cause.
     fn trouble(&self, end: End) -> Trouble {
         let t = &self.trouble;
+        let c = &self.connections;
         let cause = if self.has_no_order {
             Cause::NoOrder
         } else if end == End::Diverged {
             Cause::Diverged
-        } else if t.n_wrong_left > 0 || t.n_repair_steps >= MANY_STEPS {
+        } else if c.n_wrong_left > 0 || t.n_repair_steps >= MANY_STEPS {
             Cause::WrongConnection
         } else if t.n_clearing_steps >= MANY_STEPS {
             Cause::Clutter
-        } else if t.n_breaks > 1 {
+        } else if c.n_broken > 1 {
             Cause::Break
-        } else if self.steps_since_gain >= STUCK_STEPS {
+        } else if c.steps_since_gain >= STUCK_STEPS {
             Cause::Stuck
         } else {
             Cause::Time
         };
-        Trouble { cause, ..*t }
+        Trouble {
+            cause,
+            n_wrong_snaps: c.n_wrong,
+            n_breaks: c.n_broken,
+            n_wrong_left: c.n_wrong_left,
+            n_missing: c.n_missing,
+            ..*t
+        }
     }
 }
 
@@ -204,8 +202,4 @@ impl fmt::Display for Cause {
             Self::Time => "time",
         })
     }
-}
-
-fn count(scene: &Scene, wanted: impl Fn(&Joint) -> bool) -> u32 {
-    scene.joints.iter().filter(|joint| wanted(joint)).count() as u32
 }

@@ -1,9 +1,7 @@
 //! The expert on real worlds: its success, its failures, and their causes.
 
-use proto::Valid;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use blueprints::Catalog;
+use proto::Valid;
 
 use super::*;
 use crate::config::{EpisodeConfig, ResetFreeConfig, Starts};
@@ -20,11 +18,15 @@ fn setup() -> EvalSetup<'static> {
     }
 }
 
+fn evaluate(setup: &EvalSetup<'_>, blueprints: &[&Blueprint]) -> ExpertReport {
+    evaluate_expert_followed(setup, blueprints, &Follower::default()).unwrap()
+}
+
 #[test]
 fn the_expert_builds_a_sample_of_the_catalog() {
     // Every seventh blueprint, so that all sizes and splits are included. On the whole catalog the rate is 99 %.
     let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(7).collect();
-    let report = evaluate_expert(&setup(), &sample, &|| true).unwrap();
+    let report = evaluate(&setup(), &sample);
     let all = report.groups.last().unwrap();
     assert_eq!((all.name.as_str(), all.n_blueprints), ("all", sample.len() as u64));
     assert!(all.outcome.success.rate >= 0.9, "{:?}", report.failures);
@@ -39,7 +41,7 @@ fn a_report_does_not_depend_on_the_threads() {
     let report = |n_threads, n_worlds| {
         let mut setup = setup();
         (setup.episodes.n_threads, setup.n_worlds) = (n_threads, n_worlds);
-        evaluate_expert(&setup, &sample, &|| true).unwrap()
+        evaluate(&setup, &sample)
     };
     assert_eq!(report(1, 1), report(3, 2));
 }
@@ -50,7 +52,7 @@ fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
     (setup.episodes.n_episodes, setup.episodes.starts) = (1, Starts::Scattered);
     setup.environment = setup.environment.with(|environment| environment.episode_steps = 5).unwrap();
     let goal = Catalog::builtin().get(&"16_000".parse().unwrap()).unwrap();
-    let report = evaluate_expert(&setup, &[goal], &|| true).unwrap();
+    let report = evaluate(&setup, &[goal]);
     let [failure] = &report.failures[..] else { panic!("{:?}", report.failures) };
     assert_eq!((failure.trouble.cause, failure.trouble.n_steps), (Cause::Time, 5));
     assert_eq!(failure.trouble.n_missing as usize, goal.links().len());
@@ -61,21 +63,11 @@ fn a_failure_has_a_cause_and_a_replay_that_can_be_sent() {
 }
 
 #[test]
-fn an_evaluation_ends_when_it_is_told_to() {
-    let n_asked = AtomicUsize::new(0);
-    let keep_going = || n_asked.fetch_add(1, Ordering::Relaxed) < 3;
-    let goal = &Catalog::builtin().of_split(Split::Train)[..1];
-    let mut setup = setup();
-    setup.episodes.n_threads = 1;
-    assert!(matches!(evaluate_expert(&setup, goal, &keep_going), Err(EvalError::Interrupted)));
-}
-
-#[test]
 fn goals_in_a_row_are_built_where_the_last_one_ended() {
     let config = ResetFreeConfig { n_runs: 2, n_goals: 3 };
     let setup = EvalSetup { reset_free: Some(config), ..setup() };
     let goal = &Catalog::builtin().of_split(Split::Train)[..1];
-    let found = evaluate_expert(&setup, goal, &|| true).unwrap().reset_free.unwrap();
+    let found = evaluate(&setup, goal).reset_free.unwrap();
     assert_eq!((found.n_runs, found.n_goals, found.runs.outcome.success.n_episodes), (2, 3, 6));
     assert!(found.runs.outcome.success.n_successes >= 4, "{found:?}");
 }

@@ -4,14 +4,14 @@ use std::time::Duration;
 
 use blueprints::{Catalog, Split};
 use proto::metrics::EvalSummary;
-use proto::{RewardTerms, Start, Valid};
+use proto::{ActionMode, Valid};
 use tokio::task::JoinHandle;
 
 use super::*;
 use crate::config::{EvaluatorConfig, Every, ResetFreeConfig, Selection};
 use crate::episodes::tests::{small_policy, small_setup, weights};
+use crate::report::tests::episode;
 use crate::report::{End, summarize};
-use crate::sequences::EpisodeSpec;
 
 /// Fails a test that waits for something that does not happen.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -195,20 +195,11 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
         evaluations: Evaluations::default(),
         publishers: Publishers::new(&bus).await.unwrap(),
         last: None,
-        reports: None,
-        listener: None,
-        evaluated: None,
-        progress: None,
+        listeners: Listeners::default(),
         videos: None,
     };
     let goal = Catalog::builtin().of_split(Split::Train)[0];
-    let episode = EpisodeSpec::new(goal, Start::Scattered, 1, 0).result(
-        ActionMode::Greedy,
-        End::TimeLimit,
-        8,
-        RewardTerms::default(),
-        false,
-    );
+    let episode = episode(goal.id().as_str(), ActionMode::Greedy, End::TimeLimit, 8);
     let report = |version, is_complete| {
         let mut report = summarize(WeightsVersion(version), 0, std::slice::from_ref(&episode));
         report.summary.is_complete = is_complete;
@@ -277,7 +268,6 @@ fn setup(config: EvaluatorConfig, records: Option<RunPaths>) -> EvaluatorSetup {
     }
 }
 
-/// Starts an evaluator on the bus.
 fn start(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: &Stop) -> JoinHandle<anyhow::Result<Summary>> {
     let (bus, stop) = (bus.clone(), stop.clone());
     tokio::spawn(async move { run(setup, &bus, listeners, stop).await })

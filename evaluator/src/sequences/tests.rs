@@ -48,36 +48,36 @@ fn goal() -> &'static Blueprint {
     Catalog::builtin().of_split(Split::Train)[0]
 }
 
-fn toy(ends: &[Status]) -> Toy {
+/// Returns a scene with the blocks in a row, one meter apart.
+pub(crate) fn scene() -> Scene {
     let orientation = [0.0, 0.0, 0.0, 1.0];
-    let scene = Scene {
+    Scene {
         blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation }),
         speeds_mps: [0.0; blueprints::N_BLOCKS],
         joints: Vec::new(),
         grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
         n_heavy_contacts: 0,
-    };
-    Toy { ends: ends.to_vec(), n_steps: 0, diverged: false, scene, blueprint: goal().clone() }
+    }
 }
 
-fn run(
-    worlds: Vec<Toy>,
-    sequences: &[Vec<EpisodeSpec>],
-    keep_going: bool,
-) -> Result<Vec<Vec<EpisodeResult>>, EvalError> {
+fn toy(ends: &[Status]) -> Toy {
+    Toy { ends: ends.to_vec(), n_steps: 0, diverged: false, scene: scene(), blueprint: goal().clone() }
+}
+
+fn run(worlds: Vec<Toy>, sequences: &[Vec<EpisodeSpec>]) -> Vec<Vec<EpisodeResult>> {
     let mut policy = Policy::new(&Valid::default());
     let rules: Rules<'_, EpisodeSelector> = Rules {
         catalog: Catalog::builtin(),
         acting: ActionMode::Sampled,
         success: &SuccessConfig::default(),
-        keep_going: &|| keep_going,
+        keep_going: &|| true,
         observer: None,
     };
     let mut waiting = sequences.iter().map(Vec::as_slice).enumerate();
     let mut all = vec![Vec::new(); sequences.len()];
     let done = |sequence_idx: usize, results| all[sequence_idx] = results;
-    run_sequences(&rules, &mut policy, worlds, || waiting.next(), done)?;
-    Ok(all)
+    run_sequences(&rules, &mut policy, worlds, || waiting.next(), done).unwrap();
+    all
 }
 
 fn sequence(starts: &[Start]) -> Vec<EpisodeSpec> {
@@ -89,7 +89,7 @@ fn worlds_share_more_sequences_than_there_are_worlds() {
     use Status::{Running, Success, TimeLimit};
     let worlds = vec![toy(&[Success]), toy(&[Running, Running, TimeLimit])];
     let sequences = vec![sequence(&[Start::Scattered]); 5];
-    let results = run(worlds, &sequences, true).unwrap();
+    let results = run(worlds, &sequences);
     let steps: Vec<u32> = results.iter().map(|sequence| sequence[0].n_steps).collect();
     // The first world ends an episode at every step, the second at its third, when the last sequence is already taken.
     assert_eq!(steps, [1, 3, 1, 1, 1]);
@@ -102,16 +102,10 @@ fn worlds_share_more_sequences_than_there_are_worlds() {
 fn a_sequence_keeps_its_world_until_that_diverges() {
     use Status::{Diverged, Success, TimeLimit};
     let sequences = [sequence(&[Start::Scattered, Start::AsItIs, Start::AsItIs, Start::AsItIs])];
-    let results = run(vec![toy(&[Success, TimeLimit, Diverged, Success])], &sequences, true).unwrap();
+    let results = run(vec![toy(&[Success, TimeLimit, Diverged, Success])], &sequences);
     let ends: Vec<(End, bool)> = results[0].iter().map(|result| (result.end, result.forced_reset)).collect();
     let success = End::Success { stable: false };
     assert_eq!(ends, [(success, false), (End::TimeLimit, false), (End::Diverged, false), (success, true)]);
-}
-
-#[test]
-fn an_interruption_has_no_result() {
-    let result = run(vec![toy(&[Status::Running])], &[sequence(&[Start::Scattered])], false);
-    assert!(matches!(result, Err(EvalError::Interrupted)));
 }
 
 #[test]

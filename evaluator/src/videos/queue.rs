@@ -1,6 +1,6 @@
 //! The queue of recorded episodes to be rendered. When it is full, new episodes are counted and dropped.
 
-use parking_lot::{Condvar, Mutex, MutexGuard};
+use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 
 use proto::Trajectory;
@@ -46,7 +46,7 @@ pub(super) enum Made {
 impl ClipQueue {
     /// Adds a request to the queue. If the queue is full or closed, drops and counts it instead.
     pub(super) fn offer(&self, request: VideoRequest) {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         if state.is_closed || state.requests.len() >= ROOM {
             state.counts.dropped_total += 1;
             tracing::debug!(blueprint = %request.trajectory.task.blueprint, "no room for a video");
@@ -57,27 +57,27 @@ impl ClipQueue {
     }
 
     pub(super) fn count_unrecorded(&self) {
-        self.state().counts.unrecorded_total += 1;
+        self.state.lock().counts.unrecorded_total += 1;
     }
 
     pub(super) fn counts(&self) -> VideoCounts {
-        self.state().all_counts()
+        self.state.lock().all_counts()
     }
 
     /// Waits for the next request and returns it; `None` once the queue is closed and empty.
     pub(super) fn next(&self) -> Option<VideoRequest> {
         let is_idle = |state: &mut State| state.requests.is_empty() && !state.is_closed;
-        let mut state = self.state();
+        let mut state = self.state.lock();
         self.changed.wait_while(&mut state, is_idle);
         state.requests.pop_front()
     }
 
     pub(super) fn is_closed(&self) -> bool {
-        self.state().is_closed
+        self.state.lock().is_closed
     }
 
     pub(super) fn note(&self, made: anyhow::Result<Made>, request: &VideoRequest) {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         let counts = &mut state.counts;
         match made {
             Ok(Made::Video { is_oversized }) => {
@@ -94,18 +94,14 @@ impl ClipQueue {
     }
 
     pub(super) fn close(&self) {
-        self.state().is_closed = true;
+        self.state.lock().is_closed = true;
         self.changed.notify_all();
-    }
-
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock()
     }
 
     #[cfg(test)]
     pub(super) fn wait_until(&self, is_reached: impl Fn(VideoCounts) -> bool) -> VideoCounts {
         let waits = |state: &mut State| !is_reached(state.all_counts());
-        let mut state = self.state();
+        let mut state = self.state.lock();
         self.changed.wait_while(&mut state, waits);
         state.all_counts()
     }

@@ -38,7 +38,7 @@ const TENSORBOARD_MB: u64 = 64;
 #[derive(Debug)]
 pub(crate) struct VideoRecorder {
     config: VideosConfig,
-    queue: Arc<ClipQueue>,
+    pub(super) queue: Arc<ClipQueue>,
     /// `None` once closed.
     thread: Option<JoinHandle<()>>,
 }
@@ -48,7 +48,6 @@ struct Files {
     videos: VideoStore,
     replays: VideoStore,
     reel: Reel,
-    /// The catalog of goals.
     catalog: Arc<Catalog>,
 }
 
@@ -94,18 +93,11 @@ impl VideoRecorder {
 
     /// Returns the selector of the episodes to record in an evaluation of `weights`.
     pub(crate) fn selector(&self, weights: &Arc<Weights>, acting: &[ActionMode]) -> Option<EpisodeSelector> {
-        EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone())
+        Some(EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone()))
     }
 
-    /// Returns the video counts so far.
     pub(crate) fn counts(&self) -> VideoCounts {
         self.queue.counts()
-    }
-
-    /// Waits for counts that a test expects.
-    #[cfg(test)]
-    pub(super) fn wait_until(&self, is_reached: impl Fn(VideoCounts) -> bool) -> VideoCounts {
-        self.queue.wait_until(is_reached)
     }
 
     /// Ends the thread after the current video. Of the waiting requests, only the recordings are kept.

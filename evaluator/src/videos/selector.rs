@@ -1,16 +1,16 @@
 //! Selects the episodes of an evaluation to record: those that could become a requested success or failure video.
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Group};
 use environment::Step;
-use proto::{ActionMode, ActorId, BehaviorPolicy, Observation, Scene, Weights};
+use proto::{ActionMode, Observation, Scene, Weights};
 
 use super::queue::{ClipQueue, VideoRequest};
 use crate::config::VideosConfig;
-use crate::recording::Recording;
+use crate::recording::{Credits, Recording};
 use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 use runlog::videos::Ending;
@@ -23,8 +23,7 @@ const MAX_RECORDING: usize = 256;
 /// It is not known in advance which episodes will succeed, so all episodes that may be needed are recorded, and most
 /// recordings are discarded.
 #[derive(Debug)]
-pub struct EpisodeSelector {
-    actor: ActorId,
+pub(crate) struct EpisodeSelector {
     weights: Arc<Weights>,
     acting: ActionMode,
     open: Mutex<Open>,
@@ -47,22 +46,12 @@ struct Open {
 
 impl EpisodeSelector {
     /// Creates the selector for an evaluation of `weights`. Only episodes with the action mode `acting` are recorded.
-    pub(super) fn new(
-        config: &VideosConfig,
-        weights: Arc<Weights>,
-        acting: ActionMode,
-        queue: Arc<ClipQueue>,
-    ) -> Option<Self> {
+    pub(super) fn new(config: &VideosConfig, weights: Arc<Weights>, acting: ActionMode, queue: Arc<ClipQueue>) -> Self {
         let groups = config.groups.iter().copied().map(Subject::Group);
         let subjects = groups.chain(config.blueprints.iter().cloned().map(Subject::Blueprint));
         let missing = subjects.flat_map(|subject| Ending::ALL.map(|ending| (subject.clone(), ending))).collect();
-        let actor = ActorId::try_from("evaluator".to_owned()).ok()?;
         let open = Mutex::new(Open { missing, n_taken: BTreeMap::new(), n_recording: 0 });
-        Some(Self { actor, weights, acting, open, queue })
-    }
-
-    fn open(&self) -> MutexGuard<'_, Open> {
-        self.open.lock()
+        Self { weights, acting, open, queue }
     }
 }
 
@@ -73,7 +62,7 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
         if acting != self.acting {
             return None;
         }
-        let mut open = self.open();
+        let mut open = self.open.lock();
         let is_wanted = |subject: &Subject| Ending::ALL.iter().any(|ending| open.lacks(subject, *ending));
         if !subjects(spec).any(|subject| is_wanted(&subject)) {
             return None;
@@ -95,20 +84,15 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
             End::Success { .. } => Ending::Success,
             End::TimeLimit | End::Diverged => Ending::Failure,
         };
-        let mut open = self.open();
+        let mut open = self.open.lock();
         open.n_recording = open.n_recording.saturating_sub(1);
         let wanted: Vec<Subject> = subjects(spec).filter(|subject| open.lacks(subject, ending)).collect();
         if wanted.is_empty() {
             return;
         }
-        let (actor, version, task) = (self.actor.clone(), self.weights.version, spec.task());
-        let behavior_policy = match result.acting {
-            ActionMode::Greedy => BehaviorPolicy::Greedy,
-            ActionMode::Sampled => BehaviorPolicy::Sampled,
-        };
-        let Some(trajectory) = recording.into_trajectory(actor, behavior_policy, version, task, last, result) else {
-            return;
-        };
+        let credits = Credits::of_policy("evaluator", result.acting, self.weights.version);
+        let task = &spec.task;
+        let Some(trajectory) = recording.into_trajectory(credits, task, last, result) else { return };
         let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
         for subject in wanted {
             open.missing.remove(&(subject, ending));
@@ -143,5 +127,5 @@ impl Subject {
 
 fn subjects(spec: &EpisodeSpec) -> impl Iterator<Item = Subject> {
     let group = Group::of(spec.split, spec.n_blocks).map(Subject::Group);
-    group.into_iter().chain([Subject::Blueprint(spec.task().blueprint.clone())])
+    group.into_iter().chain([Subject::Blueprint(spec.task.blueprint.clone())])
 }

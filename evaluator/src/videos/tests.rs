@@ -8,7 +8,7 @@ use blueprints::{Blueprint, Catalog, Split};
 use environment::{Step, StepResult};
 use proto::codec::decode_recording;
 use proto::metrics::VideoCounts;
-use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Scene, Start, Status};
+use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Start, Status};
 use runlog::RunPaths;
 
 use super::VideoRecorder;
@@ -21,6 +21,7 @@ use crate::episodes::tests::{agent, small_setup, weights};
 use crate::pool::EvaluationPool;
 use crate::recording::Recording;
 use crate::report::End;
+use crate::sequences::tests::scene;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
 fn blueprint() -> &'static Blueprint {
@@ -49,7 +50,7 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
         evaluate_in_parts(&pool, &weights, &goals, &mut |_| {}).unwrap()
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));
-    let written = recorder.wait_until(|counts| counts.written_total + counts.failed_total > 0);
+    let written = recorder.queue.wait_until(|counts| counts.written_total + counts.failed_total > 0);
     assert_eq!(written, VideoCounts { written_total: 1, ..VideoCounts::default() });
     recorder.close();
 
@@ -65,32 +66,22 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
 }
 
 /// Plays an episode of one step with this end; returns whether it was recorded.
-fn play(selector: &EpisodeSelector, scene: &Scene, acting: ActionMode, end: End) -> bool {
+fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
     let selector: &dyn EpisodeObserver<(), Record = Recording> = selector;
     let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
-    let seen = Observation { scene, blueprint: blueprint() };
+    let scene = scene();
+    let seen = Observation { scene: &scene, blueprint: blueprint() };
     let place = Place { sequence_idx: 0, episode_idx: 0 };
     let Some(mut recording) = selector.begin(place, &spec, acting, seen) else { return false };
     let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
     let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
     selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, &(), 0, seen);
-    selector.end(recording, &spec, scene, &spec.result(acting, end, 1, RewardTerms::default(), false));
+    selector.end(recording, &spec, &scene, &spec.result(acting, end, 1, RewardTerms::default(), false));
     true
 }
 
-fn scene() -> Scene {
-    let still = proto::Pose { position: [0.0, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] };
-    Scene {
-        blocks: [still; blueprints::N_BLOCKS],
-        speeds_mps: [0.0; blueprints::N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [None, None],
-        n_heavy_contacts: 0,
-    }
-}
-
 fn selector(config: &VideosConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
-    EpisodeSelector::new(config, Arc::new(weights()), ActionMode::Greedy, queue.clone()).unwrap()
+    EpisodeSelector::new(config, Arc::new(weights()), ActionMode::Greedy, queue.clone())
 }
 
 #[test]
@@ -99,15 +90,15 @@ fn nothing_is_recorded_once_every_wanted_video_is_taken() {
     let config = VideosConfig { blueprints: vec![blueprint().id().clone()], ..Default::default() };
     let selector = selector(&config, &queue);
     let success = End::Success { stable: true };
-    assert!(!play(&selector, &scene(), ActionMode::Sampled, success), "only one way of acting is recorded");
+    assert!(!play(&selector, ActionMode::Sampled, success), "only one way of acting is recorded");
     for _ in 0..2 {
-        assert!(play(&selector, &scene(), ActionMode::Greedy, success));
+        assert!(play(&selector, ActionMode::Greedy, success));
     }
     // One success was taken for both group and blueprint; the other was recorded because a failure was still wanted.
     assert_eq!(queue.counts().n_waiting, 1);
-    assert!(play(&selector, &scene(), ActionMode::Greedy, End::Diverged), "a diverged episode is a failure");
+    assert!(play(&selector, ActionMode::Greedy, End::Diverged), "a diverged episode is a failure");
     assert_eq!(queue.counts().n_waiting, 2);
-    assert!(!play(&selector, &scene(), ActionMode::Greedy, success));
+    assert!(!play(&selector, ActionMode::Greedy, success));
 }
 
 #[test]
@@ -116,7 +107,7 @@ fn a_full_queue_drops_and_counts_and_nobody_waits() {
     // Nothing consumes this queue.
     for _ in 0..ROOM + 3 {
         let selector = selector(&VideosConfig::default(), &queue);
-        assert!(play(&selector, &scene(), ActionMode::Greedy, End::TimeLimit));
+        assert!(play(&selector, ActionMode::Greedy, End::TimeLimit));
     }
     let expected = VideoCounts { n_waiting: ROOM as u64, dropped_total: 3, ..VideoCounts::default() };
     assert_eq!(queue.counts(), expected);
@@ -143,7 +134,7 @@ fn restarts_leave_no_more_than_two_files_for_tensorboard() {
     assert_eq!(names(&folder).len(), 2 + 3);
 
     let queue = Arc::new(ClipQueue::default());
-    assert!(play(&selector(&VideosConfig::default(), &queue), &scene(), ActionMode::Greedy, End::TimeLimit));
+    assert!(play(&selector(&VideosConfig::default(), &queue), ActionMode::Greedy, End::TimeLimit));
     let request = queue.next().unwrap();
     // Half of the megabyte holds one of these videos, so the second goes to another file.
     let video = vec![0; 300_000];

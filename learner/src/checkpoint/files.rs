@@ -101,20 +101,21 @@ pub(super) fn steps(dir: &Path) -> Result<BTreeMap<u64, PathBuf>, CheckpointErro
     Ok(names(dir)?.into_iter().filter_map(|(name, path)| Some((step(&name)?, path))).collect())
 }
 
-/// A folder left by an interrupted write.
-pub(super) struct Leftover {
-    pub(super) path: PathBuf,
-    /// The path of the original checkpoint, if this one was moved aside.
-    pub(super) replaced: Option<PathBuf>,
-}
-
-/// Returns the folders in `dir` left by interrupted writes.
-pub(super) fn leftovers(dir: &Path) -> Result<Vec<Leftover>, CheckpointError> {
-    let leftover = |(name, path): (String, PathBuf)| {
+/// Removes the leftovers of interrupted writes in `dir`, and restores a checkpoint whose replacement was interrupted.
+/// No other process may write to `dir` at the same time.
+///
+/// # Errors
+/// If the file system returns an error.
+pub fn clean(dir: &Path) -> Result<(), CheckpointError> {
+    for (name, path) in names(dir)? {
         let replaced = name.strip_prefix(OLD).filter(|of| of.starts_with(STEP)).map(|of| dir.join(of));
-        (name.starts_with(NEW) || replaced.is_some()).then_some(Leftover { path, replaced })
-    };
-    Ok(names(dir)?.into_iter().filter_map(leftover).collect())
+        match replaced {
+            Some(original) if !original.exists() => fs::rename(&path, original).map_err(io("renaming", &path))?,
+            None if !name.starts_with(NEW) => {}
+            _ => remove(&path)?,
+        }
+    }
+    Ok(())
 }
 
 fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {

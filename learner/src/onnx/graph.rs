@@ -100,7 +100,6 @@ impl Graph {
         name
     }
 
-    /// Adds a tensor.
     pub(super) fn tensor<const N: usize>(
         &mut self,
         name: &str,
@@ -127,7 +126,6 @@ impl Graph {
         self.fields = std::mem::take(&mut self.fields).bytes(field, &message.0);
     }
 
-    /// Returns the file.
     pub(super) fn into_bytes(self) -> Vec<u8> {
         let graph = self.fields.text(2, "policy");
         let operators = Message::default().text(1, "").int(2, OPERATORS);

@@ -8,7 +8,6 @@ use policy::cpu::Outputs;
 use policy::distribution::mask_logits;
 use policy::loss_terms::{self, ActionTensors};
 use policy::mixture::{ActionRows, MixtureDistribution, N_READOUTS};
-use policy::parameters::ParameterError;
 use policy::{Engine, FeatureBatch, MoveTensors, NetworkOutput, PolicyConfig};
 
 use crate::batch::Batch;
@@ -22,7 +21,7 @@ pub(super) struct Passes {
     policy: PolicyConfig,
     device: Device,
     tracked_device: Device,
-    engine: Engine,
+    pub(super) engine: Engine,
 }
 
 /// The network's output for rows of a batch, without gradients.
@@ -98,18 +97,6 @@ impl Passes {
         }
     }
 
-    pub(super) fn engine(&self) -> &Engine {
-        &self.engine
-    }
-
-    /// Loads `parameters` into the network.
-    ///
-    /// # Errors
-    /// If their number is wrong or one is not finite.
-    pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        self.engine.load(parameters)
-    }
-
     /// Computes the values of `rows` and, for rows that are samples, the log-probabilities of their actions. `rows`
     /// must be ascending.
     pub(super) fn evaluate(&mut self, batch: &Batch, rows: &[usize]) -> Evaluation {
@@ -123,18 +110,14 @@ impl Passes {
                 Some(draws) => self.evaluate_draws(batch, draws, &rows[..n_samples], &outputs),
                 None => {
                     let actions = self.actions(batch, &rows[..n_samples], &self.device);
-                    let mut output = head_of(&self.tensors(&outputs, &self.device), n_samples);
+                    let n_grippers = usize::from(self.policy.features.n_grippers);
+                    let mut output = head_of(&outputs.to_tensors(n_grippers, &self.device), n_samples);
                     self.mask(&mut output, &batch.features, &rows[..n_samples]);
                     (to_vec(loss_terms::log_prob(&output, &actions)), Vec::new())
                 }
             }
         };
         Evaluation { values: outputs.values, log_probs, entropies }
-    }
-
-    /// Computes only the values of `rows`.
-    pub(super) fn values(&mut self, batch: &Batch, rows: &[usize]) -> Vec<f32> {
-        self.engine.run(&batch.features, rows).values
     }
 
     /// Computes the gradient of `share` × the summed loss of `samples`.
@@ -174,10 +157,6 @@ impl Passes {
         let sum = |i: usize| sums.get(i).copied().map_or(f64::NAN, f64::from);
         let losses = LossSums { policy: sum(0), value: sum(1), blocks: sum(2), moves: sum(3) };
         GradientPass { gradient, log_probs: to_vec(log_prob), losses }
-    }
-
-    fn tensors(&self, outputs: &Outputs, device: &Device) -> NetworkOutput {
-        outputs.to_tensors(usize::from(self.policy.features.n_grippers), device)
     }
 
     /// Masks the logits as configured.

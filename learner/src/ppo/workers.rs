@@ -1,9 +1,9 @@
 //! Worker threads that run the pieces of a batch through their own networks.
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use burn::tensor::Device;
+use parking_lot::Mutex;
 use policy::parameters::ParameterError;
 use policy::{Engine, PolicyConfig};
 
@@ -27,20 +27,7 @@ pub(super) struct Workers {
 }
 
 /// Gradient buffers for reuse: for a new 5 MB buffer, fresh pages cost more than writing the zeros.
-#[derive(Debug, Default)]
-struct Spares(Mutex<Vec<Vec<f32>>>);
-
-impl Spares {
-    fn take(&self) -> Vec<f32> {
-        self.0.lock().ok().and_then(|mut spares| spares.pop()).unwrap_or_default()
-    }
-
-    fn put(&self, gradient: Vec<f32>) {
-        if let Ok(mut spares) = self.0.lock() {
-            spares.push(gradient);
-        }
-    }
-}
+type Spares = Mutex<Vec<Vec<f32>>>;
 
 impl Workers {
     /// Creates `n` workers, at least one, whose networks have the initial parameters of `seed`.
@@ -51,7 +38,7 @@ impl Workers {
 
     /// Returns one of the networks; all are equal.
     pub(super) fn engine(&self) -> &Engine {
-        self.all[0].engine()
+        &self.all[0].engine
     }
 
     /// Loads `parameters` into all networks.
@@ -59,7 +46,7 @@ impl Workers {
     /// # Errors
     /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
-        let loaded = self.each(|passes, _| passes.load(parameters));
+        let loaded = self.each(|passes, _| passes.engine.load(parameters));
         loaded.into_iter().collect()
     }
 
@@ -83,20 +70,21 @@ impl Workers {
     /// Computes the values of all rows, in pieces.
     pub(super) fn values(&mut self, batch: &Batch) -> Vec<f32> {
         let rows: Vec<usize> = (0..batch.features.n).collect();
-        self.map(&pieces(&rows, PIECE_SIZE), |passes, rows, _| passes.values(batch, rows)).concat()
+        self.map(&pieces(&rows, PIECE_SIZE), |passes, rows, _| passes.engine.run(&batch.features, rows).values).concat()
     }
 
     /// Computes gradients of the mean loss of `samples`, one for each piece; their sum is the whole gradient.
     pub(super) fn gradients(&mut self, batch: &Batch, samples: &[usize], targets: &Targets<'_>) -> Vec<GradientPass> {
         let share = 1.0 / samples.len() as f32;
         self.map(&pieces(samples, PIECE_SIZE), |passes, piece, spares| {
-            passes.gradient(batch, piece, targets, share, spares.take())
+            let spare = spares.lock().pop().unwrap_or_default();
+            passes.gradient(batch, piece, targets, share, spare)
         })
     }
 
     /// Returns a gradient of `n` zeros.
     pub(super) fn zeros(&self, n: usize) -> Vec<f32> {
-        let mut gradient = self.spares.take();
+        let mut gradient = self.spares.lock().pop().unwrap_or_default();
         gradient.clear();
         gradient.resize(n, 0.0);
         gradient
@@ -104,7 +92,7 @@ impl Workers {
 
     /// Keeps the memory of a gradient for the next one.
     pub(super) fn reuse(&self, gradient: Vec<f32>) {
-        self.spares.put(gradient);
+        self.spares.lock().push(gradient);
     }
 
     /// Runs `work` on every piece; the results are in piece order. An idle worker takes the next piece, because other

@@ -58,7 +58,7 @@ fn resumed_learner_takes_another_fixed_rate() {
     setup.config = setup.config.with(|c| c.optimizer.learning_rate = 1e-4).unwrap();
     let mut resumed = Learner::resume(setup.clone(), Checkpoint::read(&path).unwrap()).unwrap();
     feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5)));
-    assert_eq!(resumed.update_from_mailbox().unwrap().ppo.learning_rate, f64::from(1e-4_f32));
+    assert_eq!(resumed.update_from_mailbox().unwrap().metrics.ppo.learning_rate, f64::from(1e-4_f32));
 }
 
 #[test]

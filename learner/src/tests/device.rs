@@ -35,7 +35,7 @@ fn an_update_on_a_gpu_equals_one_on_a_cpu() {
             let mut learner = Learner::new(LearnerSetup { device, ..setup.clone() }).unwrap();
             let before = learner.weights().parameters;
             feed(&learner, trajectories.clone());
-            let metrics = learner.update_from_mailbox().unwrap().ppo;
+            let metrics = learner.update_from_mailbox().unwrap().metrics.ppo;
             (metrics, before, learner.weights().parameters)
         });
         assert_eq!(cpu.1, gpu.1, "the same initial parameters");

@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{FixedRate, LearnerConfig, LrSchedule, Objective};
 use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::ppo::workers::PIECE_SIZE;
-use crate::{Learner, LearnerSetup, Model};
+use crate::{Learner, LearnerSetup, Model, UpdateResult};
 
 /// Returns a setup with a network like the paper's, but small enough for tests that take seconds.
 pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
@@ -74,6 +74,14 @@ pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
     trajectories.into_iter().for_each(|t| learner.ingest(t).unwrap());
 }
 
+/// Returns a learner after one update on `n` episodes.
+fn updated(setup: &LearnerSetup, n: usize) -> Learner {
+    let mut learner = Learner::new(setup.clone()).unwrap();
+    feed(&learner, bandit(setup, &learner.weights(), n, &mut ChaCha8Rng::seed_from_u64(3)));
+    learner.update_from_mailbox().unwrap();
+    learner
+}
+
 #[test]
 fn rewarded_choice_becomes_more_likely() {
     let mut setup = small_setup(1);
@@ -84,7 +92,7 @@ fn rewarded_choice_becomes_more_likely() {
     for _ in 0..12 {
         let trajectories = bandit(&setup, &learner.weights(), 256, &mut rng);
         feed(&learner, trajectories);
-        let metrics = learner.update_from_mailbox().unwrap();
+        let metrics = learner.update_from_mailbox().unwrap().metrics;
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
         rates.push(metrics.episodes.success.rate);
     }
@@ -101,7 +109,7 @@ fn update_needs_a_full_batch() {
     assert!(!learner.ready() && learner.update_from_mailbox().is_none());
     feed(&learner, bandit(&setup, &learner.weights(), 1, &mut rng));
     assert!(learner.ready());
-    let metrics = learner.update_from_mailbox().unwrap();
+    let metrics = learner.update_from_mailbox().unwrap().metrics;
     assert_eq!((metrics.n_env_steps, metrics.n_updates, metrics.n_episodes), (256, 1, 256));
     assert_eq!(metrics.ppo.n_gradient_steps, 12);
     assert_eq!(learner.weights().version, metrics.weights_version);
@@ -109,14 +117,7 @@ fn update_needs_a_full_batch() {
 
 #[test]
 fn weights_depend_on_the_seed_alone() {
-    let weights = |seed| {
-        let setup = small_setup(seed);
-        let mut learner = Learner::new(setup.clone()).unwrap();
-        let trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
-        feed(&learner, trajectories);
-        learner.update_from_mailbox().unwrap();
-        learner.weights()
-    };
+    let weights = |seed| updated(&small_setup(seed), 256).weights();
     assert_eq!(weights(1), weights(1));
     assert_ne!(weights(1).parameters, weights(2).parameters);
 }
@@ -132,11 +133,7 @@ fn weights_are_independent_of_the_number_of_threads() {
                 (c.batch_size, c.minibatch_size, c.n_threads) = (4 * PIECE_SIZE, 4 * PIECE_SIZE, Some(n_threads));
             })
             .unwrap();
-        let mut learner = Learner::new(setup.clone()).unwrap();
-        let trajectories = bandit(&setup, &learner.weights(), 4 * PIECE_SIZE, &mut ChaCha8Rng::seed_from_u64(3));
-        feed(&learner, trajectories);
-        learner.update_from_mailbox().unwrap();
-        learner.weights()
+        updated(&setup, 4 * PIECE_SIZE).weights()
     };
     assert_eq!(weights(1), weights(3));
 }
@@ -152,7 +149,7 @@ fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
     learner.update_from_mailbox().unwrap();
     feed(&learner, bandit(&setup, &first, 128, &mut rng));
     feed(&learner, bandit(&setup, &learner.weights(), 128, &mut rng));
-    let metrics = learner.update_from_mailbox().unwrap();
+    let metrics = learner.update_from_mailbox().unwrap().metrics;
     assert_eq!((metrics.policy_lag_mean, metrics.policy_lag_max), (0.5, 1));
     assert_eq!(metrics.policy_lag_histogram, [128, 128]);
     assert!(metrics.ppo.effective_sample_size < 0.999, "{metrics:?}");
@@ -167,17 +164,14 @@ fn gradient_step_that_is_not_finite_is_skipped() {
     // The lowest admitted log-density makes the ratio overflow.
     trajectories[0].transitions[0].behavior_log_prob = -2000.0;
     feed(&learner, trajectories);
-    let metrics = learner.update_from_mailbox().unwrap();
+    let metrics = learner.update_from_mailbox().unwrap().metrics;
     assert!(metrics.ppo.n_skipped_steps > 0);
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
 }
 
 #[test]
 fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_network() {
-    let mut learner = Learner::new(small_setup(1)).unwrap();
-    let trajectories = bandit(&small_setup(1), &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(5));
-    feed(&learner, trajectories);
-    learner.update_from_mailbox().unwrap();
+    let learner = updated(&small_setup(1), 256);
     let model = Model::from(&learner.checkpoint());
     let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
     setup.policy = setup.policy.with(|c| c.network.init_std = Some(0.1)).unwrap();
@@ -208,8 +202,8 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for n in 1..=2 {
             feed(&learner, bandit(&setup, &learner.weights(), 256, &mut rng));
-            let metrics = learner.update_from_mailbox().unwrap();
-            assert!(metrics.refused.is_some(), "{learning_rate}: {metrics:?}");
+            let UpdateResult { metrics, refused } = learner.update_from_mailbox().unwrap();
+            assert!(refused.is_some(), "{learning_rate}: {metrics:?}");
             assert_eq!((metrics.refused_total, metrics.n_updates, metrics.n_env_steps), (n, n, 256 * n));
             assert_eq!(metrics.ppo.total_loss, 0.0, "what was taken back has no loss");
             assert_eq!(Weights { n_env_steps: 0, ..learner.weights() }, Weights { n_env_steps: 0, ..first.clone() });

@@ -12,12 +12,12 @@ use proto::metrics::LearnerMetrics;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use runlog::RunPaths;
-use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
+use super::service::{Learning, options, start};
 use crate::fixtures::Made;
-use crate::{CheckpointError, RunOptions, Summary, run};
+use crate::{CheckpointError, RunOptions};
 
 /// Time between attempts to save, where they should succeed at once.
 const SOON: Duration = Duration::from_millis(1);
@@ -31,7 +31,7 @@ struct Running {
     /// Times that trajectories were made.
     n_fed: Arc<AtomicU64>,
     shutdown: CancellationToken,
-    learning: JoinHandle<anyhow::Result<Option<Summary>>>,
+    learning: Learning,
 }
 
 impl Running {
@@ -54,19 +54,12 @@ impl Running {
             }
         };
         let options = RunOptions {
-            setup,
-            run_dir: paths.clone(),
-            resume: None,
             max_env_steps: Some(max_env_steps),
             source: Box::new(Made(feed)),
-            metrics_sender: tokio::sync::watch::Sender::new(None),
             save_retry,
+            ..options(setup, &paths)
         };
-        let shutdown = CancellationToken::new();
-        let learning = tokio::spawn({
-            let (bus, shutdown) = (bus.clone(), shutdown.clone());
-            async move { run(options, &bus, shutdown).await }
-        });
+        let (shutdown, learning) = start(options, &bus);
         Self { _dir: dir, bus, paths, metrics, n_fed, shutdown, learning }
     }
 

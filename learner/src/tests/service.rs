@@ -6,6 +6,7 @@ use proto::{ActorId, Refusal, Weights};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use tokio::sync::watch;
+use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, fix_rate, small_setup};
@@ -41,29 +42,33 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
 }
 
 /// Returns the options of a new run without end in `dir`.
-fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
+pub(super) fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
     let metrics_sender = watch::channel(None).0;
     RunOptions {
         setup,
         run_dir: dir.clone(),
         resume: None,
         max_env_steps: None,
-        source: Box::new(Arrivals::default()),
+        source: Box::new(Arrivals),
         metrics_sender,
         save_retry: SAVE_RETRY,
     }
+}
+
+pub(super) type Learning = JoinHandle<anyhow::Result<Option<Summary>>>;
+
+/// Starts a learner; returns the token that ends it, too.
+pub(super) fn start(options: RunOptions, bus: &Bus) -> (CancellationToken, Learning) {
+    let shutdown = CancellationToken::new();
+    let (bus, its_shutdown) = (bus.clone(), shutdown.clone());
+    (shutdown, tokio::spawn(async move { run(options, &bus, its_shutdown).await }))
 }
 
 /// Runs a learner in `dir` until an actor has received `n_updates` updates.
 async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (Summary, Weights) {
     let setup = small_setup(5);
     let resume = resume.then(|| dir.folder().to_owned());
-    let options = RunOptions { resume, ..options(setup.clone(), dir) };
-    let shutdown = CancellationToken::new();
-    let learning = tokio::spawn({
-        let (bus, shutdown) = (bus.clone(), shutdown.clone());
-        async move { run(options, &bus, shutdown).await }
-    });
+    let (shutdown, learning) = start(RunOptions { resume, ..options(setup.clone(), dir) }, bus);
     let weights = act(bus, &setup, n_updates).await;
     shutdown.cancel();
     (learning.await.unwrap().unwrap().unwrap(), weights)
@@ -100,12 +105,7 @@ async fn failed_final_save_names_lost_and_newest_checkpoints() {
     std::fs::create_dir(checkpoints.join(".new-512")).unwrap();
     let setup = small_setup(5);
     let resume = Some(run_dir.folder().to_owned());
-    let options = RunOptions { resume, ..options(setup.clone(), &run_dir) };
-    let shutdown = CancellationToken::new();
-    let learning = tokio::spawn({
-        let (bus, shutdown) = (bus.clone(), shutdown.clone());
-        async move { run(options, &bus, shutdown).await }
-    });
+    let (shutdown, learning) = start(RunOptions { resume, ..options(setup.clone(), &run_dir) }, &bus);
     act(&bus, &setup, 1).await;
     assert!(!checkpoints.join(".new-512").exists());
     // A file at that path makes the write fail, as a full disk would.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use blueprints::outside::as_text;
 use bus::Pulse;
-use proto::metrics::{BusCounts, IngestCounts, LearnerMetrics, METRICS_SCHEMA_VERSION};
+use proto::metrics::{BusCounts, IngestCounts, LearnerMetrics};
 use proto::{Weights, WeightsVersion};
 use runlog::{Lines, MetricsWriter, RunPaths};
 use serde::Serialize;
@@ -16,7 +16,6 @@ use tokio_util::sync::CancellationToken;
 use crate::config::CheckpointConfig;
 use crate::learner::Learner;
 use crate::mailbox::MailboxCounts;
-use crate::metrics::UpdateMetrics;
 
 /// Time between attempts of a run to save what it could not. Training waits so long.
 pub const SAVE_RETRY: Duration = Duration::from_secs(30);
@@ -81,7 +80,6 @@ pub(crate) struct Saving {
     pub(super) line: Option<Lines>,
     /// The points of the newest update, until they are written.
     pub(super) scalars: Option<(u64, Vec<(String, f64)>)>,
-    /// Whether a checkpoint is due.
     pub(super) is_due: bool,
     /// The newest update's metrics.
     pub(super) metrics: Option<LearnerMetrics>,
@@ -116,11 +114,6 @@ impl Clock {
 }
 
 impl Output {
-    /// Returns the newest weights.
-    pub(super) fn newest(&self) -> &Weights {
-        &self.newest
-    }
-
     /// Returns how many steps the next update takes; `None` if the run ends.
     pub(super) fn next_steps(&self, learner: &Learner) -> Option<usize> {
         self.pulse.beat();
@@ -145,7 +138,7 @@ impl Output {
     }
 
     /// Publishes the weights and metrics of an update.
-    pub(super) fn publish(&mut self, learner: &Learner, update: &UpdateMetrics) {
+    pub(super) fn publish(&mut self, learner: &Learner, update: &LearnerMetrics) {
         self.newest = Arc::new(learner.weights());
         let metrics = self.metrics(update);
         self.clock.last_update = Instant::now();
@@ -177,34 +170,18 @@ impl Output {
         }
     }
 
-    fn metrics(&self, update: &UpdateMetrics) -> LearnerMetrics {
+    /// Returns the metrics of an update with times and the counts of the bus.
+    fn metrics(&self, update: &LearnerMetrics) -> LearnerMetrics {
         let (ingest, bus) = (self.counts)();
         let Clock { start, update_start, last_update, .. } = &self.clock;
         LearnerMetrics {
-            schema_version: METRICS_SCHEMA_VERSION,
-            weights_version: update.weights_version,
-            n_updates: update.n_updates,
-            n_env_steps: update.n_env_steps,
-            n_update_steps: update.n_steps,
-            n_episodes: update.n_episodes,
             elapsed_s: start.elapsed().as_secs_f64(),
             run_elapsed_s: self.clock.run_elapsed_s(),
-            env_steps_per_s: update.n_steps as f64 / last_update.elapsed().as_secs_f64().max(1e-9),
+            env_steps_per_s: update.n_update_steps as f64 / last_update.elapsed().as_secs_f64().max(1e-9),
             update_s: update_start.elapsed().as_secs_f64(),
-            policy_lag_mean: update.policy_lag_mean,
-            policy_lag_max: update.policy_lag_max,
-            policy_lag_histogram: update.policy_lag_histogram.clone(),
-            n_mailbox: update.n_mailbox,
-            expired_total: update.mailbox.expired_total,
-            unmade_total: update.unmade_total,
-            refused_total: update.refused_total,
-            ppo: update.ppo,
-            proposals: update.proposals.clone(),
-            episodes: update.episodes.clone(),
             ingest,
             bus,
-            task_probabilities: update.task_probabilities.clone(),
-            not_saved: None,
+            ..update.clone()
         }
     }
 }

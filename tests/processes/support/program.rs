@@ -1,7 +1,10 @@
 //! Runs the program for the tests.
 
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
 
 /// The program, in `folder` and without the caller's `LODESTONE_*` variables and `RUST_LOG`.
 pub(crate) fn lodestone(folder: &Path) -> Command {
@@ -10,6 +13,13 @@ pub(crate) fn lodestone(folder: &Path) -> Command {
         command.env_remove(name);
     }
     command.current_dir(folder);
+    command
+}
+
+/// The program with these arguments, without input and output.
+pub(crate) fn quiet(folder: &Path, args: &[&str]) -> Command {
+    let mut command = lodestone(folder);
+    command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
     command
 }
 
@@ -26,6 +36,11 @@ pub(crate) fn printed(command: &mut Command) -> String {
     String::from_utf8(finished(command).stdout).unwrap()
 }
 
+/// Runs a command that must succeed; returns the JSON on its stdout.
+pub(crate) fn printed_json(command: &mut Command) -> Value {
+    serde_json::from_str(&printed(command)).unwrap()
+}
+
 /// Runs a command that must end with this code and all of these words on stderr; returns its stderr.
 pub(crate) fn refused(command: &mut Command, code: i32, words: &[&str]) -> String {
     let output = command.output().unwrap();
@@ -40,6 +55,25 @@ pub(crate) fn check_refused(output: &Output, code: i32, words: &[&str], what: &s
         assert!(said.contains(word), "{what} does not say {word:?}: {said}");
     }
     said
+}
+
+pub(crate) fn lines(stream: impl Read) -> impl Iterator<Item = String> {
+    BufReader::new(stream).lines().map(Result::unwrap)
+}
+
+/// Sends a signal, such as `-TERM`, to a process.
+pub(crate) fn kill(signal: &str, pid: u32) {
+    finished(Command::new("kill").args([signal, &pid.to_string()]));
+}
+
+pub(crate) fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// The lines of a run's metrics.
+pub(crate) fn metrics(run_dir: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(run_dir.join("metrics.jsonl")).unwrap();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
 /// Names of the files in a folder, sorted.

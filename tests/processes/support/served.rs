@@ -6,7 +6,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use ureq::Agent;
 
-use crate::support::program::lodestone;
+use super::program::{kill, lodestone};
 
 /// A process that is killed when dropped.
 pub(crate) struct Process(pub(crate) Child);
@@ -21,7 +21,7 @@ impl Drop for Process {
 
 /// Sends the process what Ctrl-C sends.
 pub(crate) fn interrupt(process: &Process) {
-    assert!(Command::new("kill").args(["-INT", &process.0.id().to_string()]).status().unwrap().success());
+    kill("-INT", process.0.id());
 }
 
 /// Adds the arguments of the smallest training with evaluations.

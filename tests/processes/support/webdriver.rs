@@ -1,6 +1,6 @@
 //! A browser driven by the W3C WebDriver protocol: JSON over HTTP, of which the tests need a dozen calls.
 
-use std::io::{BufRead, BufReader};
+use std::io::BufReader;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use ureq::http::Response;
 use ureq::{Agent, Body};
 
+use super::program::lines;
 use super::served::client;
 
 /// Time limit for a condition on a page, in milliseconds.
@@ -45,9 +46,8 @@ pub(crate) struct Element<'b> {
 /// Starts a driver; returns it and the port that it listens on, or `None` if it exits before it listens.
 fn start_driver(chromedriver: &std::ffi::OsStr) -> Option<(Child, u16)> {
     let mut driver = Command::new(chromedriver).arg("--port=0").stdout(Stdio::piped()).spawn().unwrap();
-    let lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
     let port_of = |line: String| line.strip_suffix('.')?.rsplit_once("on port ")?.1.parse().ok();
-    let port = lines.filter_map(port_of).next();
+    let port = lines(driver.stdout.take().unwrap()).find_map(port_of);
     if port.is_none() {
         driver.wait().unwrap();
     }
