@@ -105,12 +105,11 @@ impl Arrangement {
     /// # Errors
     /// Returns the first reason why no world can look like this.
     pub(crate) fn layout(&self) -> Result<Layout, ArrangementError> {
-        let inventory = Inventory::standard();
         for (block, pose) in BlockIdx::all().zip(&self.poses) {
             check_pose(block.into(), pose)?;
         }
         let poses = self.poses.each_ref().map(from_pose);
-        let boxes = block_array(|block| Solid::new(&poses[block.get()], inventory.half_extents_m(block).into()));
+        let boxes = block_array(|block| Solid::new(block, &poses[block.get()]));
         for a in BlockIdx::all() {
             let depth_m = boxes[a.get()].shadow(&Vector3::z()) - poses[a.get()].translation.z;
             if depth_m > MAX_DEPTH_M {
@@ -156,13 +155,12 @@ impl Arrangement {
 
 /// Returns the pose of a block, raised until it is clear of the ground and of the others.
 pub(crate) fn raised(poses: &[Isometry3<f32>; N_BLOCKS], block: BlockIdx) -> Isometry3<f32> {
-    let solid =
-        |block: BlockIdx, at: &Isometry3<f32>| Solid::new(at, Inventory::standard().half_extents_m(block).into());
     let mut pose = poses[block.get()];
     for _ in 0..MAX_RAISES {
-        let own = solid(block, &pose);
+        let own = Solid::new(block, &pose);
         let others = BlockIdx::all().filter(|&other| other != block);
-        let is_free = others.map(|other| solid(other, &poses[other.get()])).all(|other| own.overlap(&other) <= TOUCH_M);
+        let mut others = others.map(|other| Solid::new(other, &poses[other.get()]));
+        let is_free = others.all(|other| own.overlap(&other) <= TOUCH_M);
         if is_free && own.shadow(&Vector3::z()) <= pose.translation.z + TOUCH_M {
             break;
         }
@@ -190,7 +188,8 @@ struct Solid {
 }
 
 impl Solid {
-    fn new(pose: &Isometry3<f32>, half_extents: Vector3<f32>) -> Self {
+    fn new(block: BlockIdx, pose: &Isometry3<f32>) -> Self {
+        let half_extents = Inventory::standard().half_extents_m(block).into();
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| pose.rotation * axis);
         Self { center: pose.translation.vector, axes, half_extents }
     }

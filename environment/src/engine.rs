@@ -320,18 +320,17 @@ impl Engine {
     pub(crate) fn insert_motor(&mut self, block: BlockIdx, target: Velocity) -> JointHandle {
         let mut joint = GenericJointBuilder::new(JointAxesMask::empty()).build();
         let (linear, angular) = (target.linear, target.angular);
-        for (axis, velocity) in [(JointAxis::LinX, linear.x), (JointAxis::LinY, linear.y), (JointAxis::LinZ, linear.z)]
-        {
-            joint.set_motor_velocity(axis, velocity, MOTOR_DAMPING_NSPM);
+        for (axis, velocity, damping, most) in [
+            (JointAxis::LinX, linear.x, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
+            (JointAxis::LinY, linear.y, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
+            (JointAxis::LinZ, linear.z, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
+            (JointAxis::AngX, angular.x, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
+            (JointAxis::AngY, angular.y, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
+            (JointAxis::AngZ, angular.z, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
+        ] {
+            joint.set_motor_velocity(axis, velocity, damping);
             joint.set_motor_model(axis, MotorModel::ForceBased);
-            joint.set_motor_max_force(axis, MOTOR_FORCE_N);
-        }
-        for (axis, velocity) in
-            [(JointAxis::AngX, angular.x), (JointAxis::AngY, angular.y), (JointAxis::AngZ, angular.z)]
-        {
-            joint.set_motor_velocity(axis, velocity, MOTOR_ANGULAR_DAMPING_NMSPRAD);
-            joint.set_motor_model(axis, MotorModel::ForceBased);
-            joint.set_motor_max_force(axis, MOTOR_TORQUE_NM);
+            joint.set_motor_max_force(axis, most);
         }
         self.now.joints.insert(self.ground, self.handles[block.get()], joint, true)
     }

@@ -238,15 +238,12 @@ impl Expert {
                 action.choices[gripper] = Some(open.remove(i).block);
             }
         }
-        for gripper in 0..self.n_grippers {
-            if action.choices[gripper].is_none() && !open.is_empty() {
-                action.choices[gripper] = Some(open.remove(0).block);
-            }
-        }
+        let any_block = || BlockIdx::all().next().expect("there are blocks");
+        let shared = commands.first().map_or_else(any_block, |c| c.block);
         for gripper in 0..self.n_grippers {
             if action.choices[gripper].is_none() {
-                let spare = || BlockIdx::all().next().expect("there are blocks");
-                action.choices[gripper] = Some(commands.first().map_or_else(spare, |c| c.block));
+                let block = if open.is_empty() { shared } else { open.remove(0).block };
+                action.choices[gripper] = Some(block);
             }
         }
         for command in commands {

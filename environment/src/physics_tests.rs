@@ -18,8 +18,12 @@ struct Rig {
 }
 
 impl Rig {
+    fn new(placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
+        Self::with(EnvironmentConfig::default(), placed)
+    }
+
     /// Places the given blocks at their poses and all others far away on the ground.
-    fn new(config: EnvironmentConfig, placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
+    fn with(config: EnvironmentConfig, placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
         let mut poses = block_array(|block| {
             let half_height = Inventory::standard().half_extents_m(block)[2];
             Isometry3::translation(
@@ -42,7 +46,7 @@ impl Rig {
     fn weightless(placed: &[(BlockIdx, Isometry3<f32>)]) -> Self {
         let mut config = EnvironmentConfig::default();
         config.physics.gravity_mps2 = 0.0;
-        Self::new(config, placed)
+        Self::with(config, placed)
     }
 
     fn substep(&mut self) {
@@ -91,10 +95,7 @@ fn beside(a: u8, b: u8, offset_half_units: [i32; 3]) -> Joint {
 fn opposite_magnets_at_2_cm_and_8_degrees_snap_and_like_poles_never() {
     // Cubes on the ground with a gap of 2 cm between a +x face and a −x face, and between two +x faces.
     let snaps = |yaw: f32| {
-        let mut rig = Rig::new(
-            EnvironmentConfig::default(),
-            &[(block(0), at(0.0, 0.0, 0.05, 0.0)), (block(1), at(0.12, 0.0, 0.05, yaw))],
-        );
+        let mut rig = Rig::new(&[(block(0), at(0.0, 0.0, 0.05, 0.0)), (block(1), at(0.12, 0.0, 0.05, yaw))]);
         (0..100).for_each(|_| rig.substep());
         let (distance, angle) = rig.worst_joint_error();
         assert!(distance < 1e-3 && angle < 5e-3, "the snap left {distance} m and {angle} rad");
@@ -133,15 +134,12 @@ fn a_connection_breaks_at_the_force_that_the_rule_says() {
 #[test]
 fn a_hanging_block_loads_its_connection_with_its_weight() {
     // A cube of 0.2 kg hangs under a held one: 1.962 N.
-    let mut rig = Rig::new(
-        EnvironmentConfig::default(),
-        &[(block(0), at(0.0, 0.0, 1.0, 0.0)), (block(1), at(0.0, 0.0, 0.9, 0.0))],
-    );
+    let mut rig = Rig::new(&[(block(0), at(0.0, 0.0, 1.0, 0.0)), (block(1), at(0.0, 0.0, 0.9, 0.0))]);
     rig.connections.insert_built(&mut rig.engine, beside(0, 1, [0, 0, -2]));
     for _ in 0..100 {
         // Only the upper cube is held, so the joint carries the other one.
         rig.engine.set_gravity(block(0), false);
-        rig.engine.set_velocity(block(0), Velocity { linear: Vector3::zeros(), angular: Vector3::zeros() });
+        rig.engine.set_velocity(block(0), Velocity::STILL);
         rig.engine.substep();
     }
     let (force, torque) = rig.engine.joint_load(rig.connections.handle(0));
@@ -165,7 +163,7 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
                 (b, at((x - centers[held][0]) as f32 * 0.05, y as f32 * 0.05, 1.5, 0.0))
             })
             .collect();
-        let mut rig = Rig::new(EnvironmentConfig::default(), &placed);
+        let mut rig = Rig::new(&placed);
         for i in 1..N_BLOCKS {
             let offset = std::array::from_fn(|axis| centers[i][axis] - centers[i - 1][axis]);
             rig.connections.insert_built(&mut rig.engine, beside(i as u8 - 1, i as u8, offset));
@@ -190,7 +188,7 @@ fn a_swung_chain_of_16_blocks_stays_within_5_mm() {
 fn a_sleeping_contact_keeps_its_force_when_substeps_change() {
     // A slab of six cubes weighs 11.8 N.
     let slab = block(14);
-    let mut rig = Rig::new(EnvironmentConfig::default(), &[(slab, at(0.0, 0.0, 0.05, 0.0))]);
+    let mut rig = Rig::new(&[(slab, at(0.0, 0.0, 0.05, 0.0))]);
     let bears = |rig: &Rig, force_n: f32| {
         let mut bears = false;
         rig.engine.for_each_contact(force_n, |blocks| bears |= blocks.contains(&Some(slab)));
@@ -210,7 +208,7 @@ fn joints_leave_the_solver_only_while_nothing_touches_what_is_carried() {
     // Three cubes in a row, carried around between loose blocks and into the ground.
     let placed = [(0, 0.0, 0.5), (1, 0.1, 0.5), (2, 0.2, 0.5), (3, 0.5, 0.05), (4, -0.3, 0.05), (8, 0.1, 0.05)];
     let placed = placed.map(|(index, x, z)| (block(index), at(x, 0.0, z, 0.0)));
-    let mut rig = Rig::new(EnvironmentConfig::default(), &placed);
+    let mut rig = Rig::new(&placed);
     for (a, b) in [(0, 1), (1, 2)] {
         rig.connections.insert_built(&mut rig.engine, beside(a, b, [2, 0, 0]));
     }
@@ -259,10 +257,7 @@ fn a_snap_adds_no_energy_beyond_the_attraction() {
 
 #[test]
 fn two_grippers_pull_a_pair_apart() {
-    let mut rig = Rig::new(
-        EnvironmentConfig::default(),
-        &[(block(0), at(0.0, 0.0, 0.5, 0.0)), (block(1), at(0.1, 0.0, 0.5, 0.0))],
-    );
+    let mut rig = Rig::new(&[(block(0), at(0.0, 0.0, 0.5, 0.0)), (block(1), at(0.1, 0.0, 0.5, 0.0))]);
     rig.connections.insert_built(&mut rig.engine, beside(0, 1, [2, 0, 0]));
     let mut action = Action { choices: [Some(block(0)), Some(block(1))], moves: [[0.0; 6]; N_BLOCKS] };
     // Held still by both grippers, the pair stays where it is.

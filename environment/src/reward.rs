@@ -29,9 +29,9 @@ pub fn potential(scene: &Scene, blueprint: &Blueprint, config: &RewardConfig) ->
         }
     }
     for link in blueprint.links() {
-        let fit = Fit::new(scene, link);
-        terms.magnets += 0.5 * config.dense_weight * fit.magnets.closeness();
-        terms.blocks += 0.5 * config.dense_weight * fit.blocks.closeness();
+        let [a, b] = linked_poses(scene, link);
+        terms.magnets += 0.5 * config.dense_weight * magnet_misfit(&a, &b, link).closeness();
+        terms.blocks += 0.5 * config.dense_weight * block_misfit(&a, &b, link).closeness();
     }
     let heavy = config.heavy_contact_weight * f32::from(scene.n_heavy_contacts);
     terms.force = -heavy.min(HEAVY_CONTACT_CAP);
@@ -56,29 +56,20 @@ pub(crate) struct Misfit {
     pub(crate) angle: f32,
 }
 
-/// Misfit of two linked blocks from their target relative pose.
-pub(crate) struct Fit {
-    /// Mean over the magnet pairs that should meet.
-    pub(crate) magnets: Misfit,
-    /// Misfit of the blocks. The distance of each center from its target is relative to the other block; this is the
-    /// mean.
-    pub(crate) blocks: Misfit,
-}
-
 impl Misfit {
     fn closeness(self) -> f32 {
         0.5 * (1.0 - (self.distance / DISTANCE_SCALE_M).tanh()) + 0.5 * (1.0 - self.angle / std::f32::consts::PI)
     }
 }
 
-impl Fit {
-    pub(crate) fn new(scene: &Scene, link: &Link) -> Self {
-        let (a, b) = (from_pose(&scene.blocks[link.a.get()]), from_pose(&scene.blocks[link.b.get()]));
-        Self { magnets: magnet_misfit(&a, &b, link), blocks: block_misfit(&a, &b, link) }
-    }
+/// Returns the poses of two blocks that are to be connected.
+pub(crate) fn linked_poses(scene: &Scene, link: &Link) -> [Isometry3<f32>; 2] {
+    [link.a, link.b].map(|block| from_pose(&scene.blocks[block.get()]))
 }
 
-fn block_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
+/// Returns the misfit of two blocks. The distance of each center from its target is relative to the other block; this
+/// is the mean.
+pub(crate) fn block_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
     let wanted = link.relative.rotation.quaternion();
     // Relative to one block only, the distance of a distant pair would depend on which of the two has the lower number.
     let seen_from_a = a.inverse_transform_vector(&(b.translation.vector - a.translation.vector));
@@ -88,6 +79,7 @@ fn block_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
     Misfit { distance: 0.5 * (from_a + from_b), angle: wanted.angle_to(&(a.rotation.inverse() * b.rotation)) }
 }
 
+/// Returns the mean misfit of the magnet pairs that should meet.
 fn magnet_misfit(a: &Isometry3<f32>, b: &Isometry3<f32>, link: &Link) -> Misfit {
     let inventory = Inventory::standard();
     let (magnets_a, magnets_b) = (inventory.magnets(link.a), inventory.magnets(link.b));

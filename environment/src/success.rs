@@ -4,7 +4,7 @@ use blueprints::Blueprint;
 use proto::Scene;
 
 use crate::config::SuccessConfig;
-use crate::reward::Fit;
+use crate::reward::{block_misfit, linked_poses};
 
 /// Stable success: maximum speed of the blueprint's blocks, m/s.
 const STABLE_SPEED_MPS: f32 = 0.1;
@@ -20,7 +20,8 @@ pub fn is_success(scene: &Scene, blueprint: &Blueprint, config: &SuccessConfig) 
     let max_angle = config.max_angle_deg.to_radians();
     connections_match
         && links.iter().all(|link| {
-            let misfit = Fit::new(scene, link).blocks;
+            let [a, b] = linked_poses(scene, link);
+            let misfit = block_misfit(&a, &b, link);
             misfit.distance <= config.max_distance_m && misfit.angle <= max_angle
         })
 }

@@ -2,7 +2,7 @@
 
 use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, N_BLOCKS};
 use nalgebra::Vector3;
-use proto::{Action, Disturbance, Gripper, N_GRIPPERS, RewardTerms, Scene, Start, Status, Task};
+use proto::{Action, Disturbance, RewardTerms, Scene, Start, Status, Task, Valid};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -17,7 +17,6 @@ use crate::randomization;
 use crate::reset::{self, Layout};
 use crate::reward::{potential, reward};
 use crate::success::is_success;
-use proto::Valid;
 
 /// Physics substeps per control step.
 pub(crate) const N_SUBSTEPS: u8 = 10;
@@ -76,12 +75,13 @@ impl World {
     /// Creates a world. Until its first [`Env::reset`], its scene is a placeholder and its steps are `Diverged`.
     pub fn new(config: &Valid<EnvironmentConfig>) -> Self {
         let inventory = Inventory::standard();
+        let engine = Engine::new(&config.physics, inventory);
         let mut world = Self {
-            engine: Engine::new(&config.physics, inventory),
+            scene: Scene::at_rest(block_array(|block| to_pose(&engine.pose(block)))),
+            engine,
             connections: Connections::new(&config.magnets, inventory),
             grippers: Grippers::new(config),
-            blueprint: initial_blueprint(),
-            scene: empty_scene(),
+            blueprint: Catalog::builtin().iter().next().expect("the built-in catalog is not empty").clone(),
             potential: RewardTerms::default(),
             n_steps: 0,
             alive: false,
@@ -287,19 +287,4 @@ fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError>
         }
     }
     Ok(())
-}
-
-/// Returns the goal that the world reports before its first reset.
-fn initial_blueprint() -> Blueprint {
-    Catalog::builtin().iter().next().expect("the built-in catalog is not empty").clone()
-}
-
-fn empty_scene() -> Scene {
-    Scene {
-        blocks: [proto::Pose { position: [0.0; 3], orientation: [0.0, 0.0, 0.0, 1.0] }; N_BLOCKS],
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: vec![],
-        grippers: [None::<Gripper>; N_GRIPPERS],
-        n_heavy_contacts: 0,
-    }
 }

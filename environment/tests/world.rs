@@ -16,10 +16,6 @@ fn task(blueprint: &Blueprint, start: Start, seed: u64) -> Task {
     Task { blueprint: blueprint.id().clone(), assignment, start, seed }
 }
 
-fn idle() -> Action {
-    Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] }
-}
-
 fn world(change: impl Fn(&mut EnvironmentConfig)) -> World {
     let mut config = EnvironmentConfig::default();
     change(&mut config);
@@ -40,11 +36,8 @@ fn goal_scene(blueprint: &Blueprint) -> Scene {
         None => Pose { position: [2.0, 0.3 * block.get() as f32 - 2.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] },
     };
     Scene {
-        blocks: std::array::from_fn(|i| pose(block(i as u8))),
-        speeds_mps: [0.0; N_BLOCKS],
         joints: blueprint.links().iter().map(|l| Joint { a: l.a, b: l.b, relative: l.relative }).collect(),
-        grippers: [None, None],
-        n_heavy_contacts: 0,
+        ..Scene::at_rest(std::array::from_fn(|i| pose(block(i as u8))))
     }
 }
 
@@ -101,7 +94,7 @@ fn a_clone_goes_on_bit_for_bit() {
             if step % 4 == 0 {
                 worlds.push(worlds[0].clone());
             }
-            let action = if step < 45 { expert.act(worlds[0].scene()) } else { idle() };
+            let action = if step < 45 { expert.act(worlds[0].scene()) } else { Action::IDLE };
             let results: Vec<_> = worlds.iter_mut().map(|world| world.step(&action)).collect();
             assert!(results.iter().all(|result| *result == results[0]), "step {step}");
             assert!(worlds.iter().all(|world| world.scene() == worlds[0].scene()), "step {step}");
@@ -109,7 +102,7 @@ fn a_clone_goes_on_bit_for_bit() {
         let as_it_is = task(goal, Start::AsItIs, 2);
         for world in &mut worlds {
             world.reset(&as_it_is, catalog).unwrap();
-            world.step(&idle());
+            world.step(&Action::IDLE);
         }
         assert_eq!(worlds.len(), 16);
         assert!(worlds.iter().all(|world| world.scene() == worlds[0].scene()), "as it is");
@@ -199,7 +192,7 @@ fn a_built_goal_stands_in_physics_for_every_blueprint() {
         let mut stable = StableSuccess::default();
         let mut is_stable = false;
         for _ in 0..10 {
-            assert_eq!(world.step(&idle()).status, Status::Success, "{}", blueprint.id());
+            assert_eq!(world.step(&Action::IDLE).status, Status::Success, "{}", blueprint.id());
             is_stable = stable.observe(world.scene(), world.blueprint(), &config.success);
         }
         assert!(is_stable, "{} does not come to rest: {:?}", blueprint.id(), world.scene().speeds_mps);
@@ -220,7 +213,7 @@ fn a_near_goal_start_lacks_what_was_taken_off() {
                 // If a single block remains, it has no connection either.
                 let all_but_one = usize::from(undone) + 1 == blueprint.n_blocks();
                 assert_eq!(n_loose, usize::from(undone) + usize::from(all_but_one), "{}", blueprint.id());
-                assert_ne!(world.step(&idle()).status, Status::Success);
+                assert_ne!(world.step(&Action::IDLE).status, Status::Success);
             }
         }
     }
@@ -234,7 +227,7 @@ fn a_scattered_start_stays_as_it_is() {
         world.reset(&task(goal, Start::Scattered, seed), Catalog::builtin()).unwrap();
         let before = world.scene().blocks;
         (0..10).for_each(|_| {
-            world.step(&idle());
+            world.step(&Action::IDLE);
         });
         assert!(world.scene().joints.is_empty(), "seed {seed}");
         for (i, (old, new)) in before.iter().zip(&world.scene().blocks).enumerate() {
@@ -254,7 +247,7 @@ fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
     // Straight up at half of 3 m/s, in the block's frame.
     let up = rotation.inverse() * Vector3::z() * 0.5;
-    let mut action = idle();
+    let mut action = Action::IDLE;
     action.choices[0] = Some(block(0));
     action.moves[0][..3].copy_from_slice(up.as_slice());
     world.step(&action);
@@ -273,7 +266,7 @@ fn a_switch_disables_the_gripper_for_the_delay() {
     world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
     let held: Vec<_> = [0, 0, 1, 1, 1, 1]
         .map(|b| {
-            world.step(&Action { choices: [Some(block(b)), None], ..idle() });
+            world.step(&Action { choices: [Some(block(b)), None], ..Action::IDLE });
             world.scene().grippers[0].unwrap().held.map(u8::from)
         })
         .into();

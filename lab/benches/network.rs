@@ -58,7 +58,7 @@ fn forward_on_burn(sizes: &FeatureSizes, b: usize) {
     let device = Device::flex();
     let network = Network::init(&NetworkConfig::default(), sizes, 0, &device);
     let config = if sizes.node == 3 { FeatureConfig::paper() } else { FeatureConfig::default() };
-    let batch = BatchTensors::new(&batch(&config, b), network.edge_layout(), &device);
+    let batch = BatchTensors::new(&batch(&config, b), &device);
     let folded = network.fold();
     report("burn forward", b, || {
         let output = network.forward_folded(&folded, &batch);
@@ -86,7 +86,7 @@ fn update(network: &Network, config: &FeatureConfig, b: usize) {
 }
 
 fn update_on_burn(network: &Network, config: &FeatureConfig, b: usize) {
-    let batch = BatchTensors::new(&batch(config, b), network.edge_layout(), &Device::flex().autodiff());
+    let batch = BatchTensors::new(&batch(config, b), &Device::flex().autodiff());
     report("burn update", b, || {
         let output = network.forward(&batch);
         let moves = output.gaussians().clone();

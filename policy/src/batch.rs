@@ -111,11 +111,7 @@ impl FeatureBatch {
             edges: pick(&self.edges, N_EDGES * self.sizes.edge, rows),
             globals: pick(&self.globals, self.sizes.global, rows),
             allowed: pick(&self.allowed, N_BLOCKS, rows),
-            proposals: if self.with_proposals {
-                rows.iter().map(|&row| self.proposals[row].clone()).collect()
-            } else {
-                Vec::new()
-            },
+            proposals: rows.iter().filter_map(|&row| self.proposals.get(row).cloned()).collect(),
             sizes: self.sizes,
             config: self.config,
             with_proposals: self.with_proposals,

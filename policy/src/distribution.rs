@@ -1,4 +1,4 @@
-//! The action distribution of one scene, on slices: sampling, mode, log-probability, and entropy.
+//! The action distribution of one scene, on slices: sampling, mode, and log-probability.
 //!
 //! Each gripper chooses one of 16 blocks; each block has a Gaussian move with a diagonal covariance. The joint
 //! log-probability is Σ_g log π_g(b_g) + Σ over the *distinct* chosen blocks of log N_b: a block chosen by both grippers
@@ -22,15 +22,6 @@ pub struct ActionDistribution<'a> {
     logits: &'a [f32],
     locs: &'a [f32],
     scales: &'a [f32],
-}
-
-/// Entropy by part, in nats.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Entropy {
-    /// Σ over grippers of the entropy of the block choice.
-    pub blocks: f32,
-    /// Entropy of the moves of the chosen blocks, expected over the choice.
-    pub moves: f32,
 }
 
 impl<'a> ActionDistribution<'a> {
@@ -89,20 +80,6 @@ impl<'a> ActionDistribution<'a> {
         total
     }
 
-    /// Returns the entropy of the choices, and that of the moves in expectation over the choices.
-    pub fn entropy(&self) -> Entropy {
-        let log_probs: Vec<_> = self.logits.chunks_exact(N_BLOCKS).map(log_softmax).collect();
-        let blocks = log_probs.iter().flatten().map(|lp| -lp.exp() * lp).sum();
-        let moves = (0..N_BLOCKS)
-            .map(|b| {
-                // The probability that some gripper chooses the block.
-                let weight = 1.0 - log_probs.iter().map(|lp| 1.0 - lp[b].exp()).product::<f32>();
-                weight * self.move_entropy(b)
-            })
-            .sum();
-        Entropy { blocks, moves }
-    }
-
     fn move_log_prob(&self, block: usize, value: &Move) -> f32 {
         let at = block * 6;
         let one = |k: usize| {
@@ -111,10 +88,6 @@ impl<'a> ActionDistribution<'a> {
             -0.5 * z * z - scale.ln() - HALF_LN_2PI
         };
         (0..6).map(one).sum()
-    }
-
-    fn move_entropy(&self, block: usize) -> f32 {
-        self.scales[block * 6..(block + 1) * 6].iter().map(|s| s.ln() + 0.5 + HALF_LN_2PI).sum()
     }
 
     fn moves(&self, mut entry: impl FnMut(f32, f32) -> f32) -> [Move; N_BLOCKS] {

@@ -149,7 +149,7 @@ impl Engine {
             Form::Burn { tracked, .. } => {
                 let network = tracked.as_ref().expect("the engine was made with gradients");
                 let device = self.device.clone().autodiff();
-                let batch = BatchTensors::new(&batch.select(rows), network.edge_layout(), &device);
+                let batch = BatchTensors::new(&batch.select(rows), &device);
                 let output = network.forward(&batch);
                 let readouts = output.readouts.as_ref().filter(|_| !draws.is_empty());
                 let draws = readouts.map(|readouts| DrawLogits::new(draws, readouts));
@@ -214,15 +214,14 @@ impl Engine {
 }
 
 fn run_on_burn(network: &Network, folded: &Folded, batch: &FeatureBatch, device: &Device) -> Outputs {
-    let batch = BatchTensors::new(batch, network.edge_layout(), device);
-    let NetworkOutput { moves, logits, values, readouts, .. } = network.forward_folded(folded, &batch);
-    let (locs, scales) = moves.map(|moves| (to_vec(moves.locs), to_vec(moves.scales))).unwrap_or_default();
-    Outputs {
-        locs,
-        scales,
-        logits: to_vec(logits),
-        values: to_vec(values),
-        readouts: readouts.map(to_vec).unwrap_or_default(),
+    network.forward_folded(folded, &BatchTensors::new(batch, device)).into()
+}
+
+impl From<NetworkOutput> for Outputs {
+    fn from(NetworkOutput { moves, logits, values, readouts, .. }: NetworkOutput) -> Self {
+        let (locs, scales) = moves.map(|moves| (to_vec(moves.locs), to_vec(moves.scales))).unwrap_or_default();
+        let readouts = readouts.map(to_vec).unwrap_or_default();
+        Self { locs, scales, logits: to_vec(logits), values: to_vec(values), readouts }
     }
 }
 

@@ -150,9 +150,10 @@ impl Row {
     /// Appends the logits of all options, from the read-outs of the scene `[16, N_READOUTS]`.
     pub fn logits(&self, readouts: &[f32], to: &mut Vec<f32>) {
         let own = &readouts[self.block * N_READOUTS..][..N_READOUTS];
+        let query = &own[self.query..self.query + D];
         to.extend(self.each().map(|(option, terms)| {
             let linear: f32 = terms.iter().map(|&(k, coefficient)| own[usize::from(k)] * coefficient).sum();
-            linear + option.partner.map_or(0.0, |partner| dot(self.query(own), self.key(readouts, partner)) * ROOT)
+            linear + option.partner.map_or(0.0, |partner| dot(query, &readouts[self.key_range(partner)]) * ROOT)
         }));
     }
 
@@ -206,17 +207,9 @@ impl Row {
     }
 
     /// Positions of a partner's key in the read-outs of a scene.
-    pub(crate) fn key_range(&self, partner: u8) -> Range<usize> {
+    fn key_range(&self, partner: u8) -> Range<usize> {
         let start = usize::from(partner) * N_READOUTS + self.query + D;
         start..start + D
-    }
-
-    fn query<'a>(&self, own: &'a [f32]) -> &'a [f32] {
-        &own[self.query..self.query + D]
-    }
-
-    fn key<'a>(&self, readouts: &'a [f32], partner: u8) -> &'a [f32] {
-        &readouts[self.key_range(partner)]
     }
 
     fn begin(&mut self, block: BlockIdx, query: usize) {

@@ -5,6 +5,8 @@
 //! `ln_mlp`, `mlp_global`, `ln_global`; flat: `in`, the residual blocks, `to_nodes`, `to_global`), policy head, value
 //! head. Each kernel precedes its bias and is row-major `[in, out]`. Without attention, `query` and `key` do not exist.
 
+use std::ops::Range;
+
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
 use rand::{RngExt, SeedableRng};
@@ -70,6 +72,16 @@ impl ParameterSpec {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+}
+
+/// Returns each parameter of a table with its range in the flat vector.
+pub fn spans(table: &[ParameterSpec]) -> impl Iterator<Item = (&ParameterSpec, Range<usize>)> {
+    let mut end = 0;
+    table.iter().map(move |spec| {
+        let start = end;
+        end += spec.len();
+        (spec, start..end)
+    })
 }
 
 /// Returns all parameters of `network` in the order of its table.

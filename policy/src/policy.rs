@@ -141,9 +141,8 @@ impl Policy {
     /// Creates an untrained policy; its parameters are those of seed 0 until [`Policy::load`].
     pub fn new(config: &Valid<PolicyConfig>) -> Self {
         let engine = Engine::new(config, 0, &Device::flex(), false);
-        let normalization = Normalization { value_std: 1.0, ..Normalization::default() };
         let batch = FeatureBatch::of_policy(config);
-        Self { config: config.clone(), engine, normalization, version: None, batch }
+        Self { config: config.clone(), engine, normalization: Normalization::default(), version: None, batch }
     }
 
     /// Creates a policy that acts with `weights`.
@@ -191,7 +190,9 @@ impl Policy {
             batch: FeatureBatch::of_policy(&self.config),
         };
         if let Some(blueprint) = Catalog::builtin().iter().next() {
-            tried.run(&[Observation { scene: &trial::scene(blueprint), blueprint }])?;
+            let mut batch = FeatureBatch::of_policy(&self.config);
+            batch.push(&Observation { scene: &trial::scene(blueprint), blueprint });
+            tried.forward(&mut batch)?;
         }
         *self = tried;
         Ok(())
@@ -245,21 +246,6 @@ impl Policy {
         Ok(decisions)
     }
 
-    fn run(&mut self, observations: &[Observation<'_>]) -> Result<Outputs, PolicyError> {
-        self.with_batch(|policy, batch| {
-            batch.fill(observations);
-            policy.forward(batch)
-        })
-    }
-
-    /// Lends the kept batch to `with`.
-    fn with_batch<T>(&mut self, with: impl FnOnce(&mut Self, &mut FeatureBatch) -> T) -> T {
-        let mut batch = std::mem::replace(&mut self.batch, FeatureBatch::of_policy(&self.config));
-        let result = with(self, &mut batch);
-        self.batch = batch;
-        result
-    }
-
     fn forward(&mut self, batch: &mut FeatureBatch) -> Result<Outputs, PolicyError> {
         if batch.n == 0 {
             return Ok(Outputs::default());
@@ -296,10 +282,8 @@ impl Policy {
         let sizes = self.config.sizes();
         let n = &weights.normalization;
         for (k, expected) in [sizes.node, sizes.edge, sizes.global].into_iter().enumerate() {
-            for (field, values, given) in [
-                ("feature_mean", &n.feature_mean[k], n.feature_mean[k].len()),
-                ("feature_std", &n.feature_std[k], n.feature_std[k].len()),
-            ] {
+            for (field, values) in [("feature_mean", &n.feature_mean[k]), ("feature_std", &n.feature_std[k])] {
+                let given = values.len();
                 if given != expected && (given != 0 || n.feature_mean[k].len() != n.feature_std[k].len()) {
                     return Err(PolicyError::NormalizationLength { version, field, given, expected });
                 }
@@ -334,9 +318,10 @@ impl Agent for Policy {
         modes: &[ActionMode],
         rngs: &mut [ChaCha8Rng],
     ) -> Result<Vec<Decision>, PolicyError> {
-        self.with_batch(|policy, batch| {
-            batch.fill(observations);
-            policy.act_on(batch, modes, rngs)
-        })
+        let mut batch = std::mem::replace(&mut self.batch, FeatureBatch::of_policy(&self.config));
+        batch.fill(observations);
+        let decisions = self.act_on(&mut batch, modes, rngs);
+        self.batch = batch;
+        decisions
     }
 }

@@ -50,8 +50,6 @@ mod openings;
 mod solid;
 mod way;
 
-use std::ops::Range;
-
 use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS, RelativePlacement};
 use nalgebra::Vector3;
 use proto::{Move, Observation, Scene};
@@ -140,8 +138,7 @@ impl Slot {
 
     /// Returns the kind.
     pub fn kind(self) -> Kind {
-        let at = usize::from(self.0);
-        if at < Kind::PAIRED.len() * N { Kind::PAIRED[at / N] } else { Kind::ALONE[at - Kind::PAIRED.len() * N] }
+        Kind::ALL[usize::from(self.0) / N]
     }
 
     /// Returns the partner; `None` if the kind has none.
@@ -209,7 +206,8 @@ impl Proposals {
 
     /// Returns the slots of a block that have a proposal, in order; never empty.
     pub fn slots(&self, block: BlockIdx) -> &[Slot] {
-        &self.slots[self.range(block)]
+        let start = if block.get() == 0 { 0 } else { self.ends[block.get() - 1] };
+        &self.slots[usize::from(start)..usize::from(self.ends[block.get()])]
     }
 
     /// Returns the proposal of a block in a slot; `None` if there is none in this scene.
@@ -241,11 +239,6 @@ impl Proposals {
     /// | 7 | connected, but not as the blueprint wants it | 0 or 1 |
     pub fn relation(&self, i: BlockIdx, j: BlockIdx) -> &[f32; N_RELATION] {
         &self.relations[i.get() * N + j.get()]
-    }
-
-    fn range(&self, block: BlockIdx) -> Range<usize> {
-        let start = if block.get() == 0 { 0 } else { self.ends[block.get() - 1] };
-        start.into()..self.ends[block.get()].into()
     }
 }
 

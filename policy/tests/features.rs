@@ -26,13 +26,7 @@ fn quaternion(coordinates: [f32; 4]) -> UnitQuaternion<f32> {
 
 /// Blocks far apart in a row, with idle grippers.
 fn row_scene() -> Scene {
-    Scene {
-        blocks: std::array::from_fn(|b| Pose { position: [b as f32, 0.0, 0.05], orientation: IDENTITY }),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
-        n_heavy_contacts: 0,
-    }
+    Scene::at_rest(std::array::from_fn(|b| Pose { position: [b as f32, 0.0, 0.05], orientation: IDENTITY }))
 }
 
 fn features(scene: &Scene, blueprint: &Blueprint, config: &FeatureConfig) -> FeatureBatch {

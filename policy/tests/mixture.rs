@@ -3,8 +3,8 @@
 
 #![allow(clippy::unwrap_used)]
 
-use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, N_BLOCKS, RelativePlacement, Split};
-use burn::tensor::{Device, Tensor};
+use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, RelativePlacement, Split};
+use burn::tensor::Device;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use policy::loss_terms::{self, ActionTensors};
 use policy::mixture::{ActionRows, Draw, DrawLogits, MixtureDistribution, N_READOUTS, Row};
@@ -42,13 +42,7 @@ fn scattered() -> Scene {
             orientation: turned.coords.into(),
         }
     };
-    Scene {
-        blocks: std::array::from_fn(place),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
-        n_heavy_contacts: 0,
-    }
+    Scene::at_rest(std::array::from_fn(place))
 }
 
 /// With one gripper, joins go all the way.
@@ -79,6 +73,11 @@ fn moved(pose: &Pose, movement: &Move) -> Pose {
 
 fn proposals(scene: &Scene, blueprint: &Blueprint) -> Proposals {
     Proposals::new(&Observation { scene, blueprint })
+}
+
+/// Returns the move that is proposed for `i` to join `j`.
+fn join(scene: &Scene, goal: &Blueprint, i: BlockIdx, j: BlockIdx) -> Move {
+    proposals(scene, goal).get(i, Slot::paired(Kind::Join, j)).unwrap().movement
 }
 
 fn kinds(proposals: &Proposals, block: BlockIdx) -> Vec<Kind> {
@@ -114,8 +113,6 @@ fn a_join_along_the_axis_presses_the_block_into_its_place() {
     let link = goal.links()[0];
     let mut scene = with_one_gripper(scattered());
     // 10 cm off along the normal of the connection, not turned: the funnel is over.
-    let found = proposals(&scene, &goal);
-    assert!(found.get(link.a, Slot::paired(Kind::Join, link.b)).is_some());
     let toward = (link.relative.position_m()).map(|x| if x.abs() > 1e-6 { x.signum() } else { 0.0 });
     for axis in 0..3 {
         let mut normal = Vector3::zeros();
@@ -124,13 +121,13 @@ fn a_join_along_the_axis_presses_the_block_into_its_place() {
             continue;
         }
         place(&mut scene, &goal, link.a, link.b, normal * 0.1, Vector3::zeros());
-        let join = proposals(&scene, &goal).get(link.a, Slot::paired(Kind::Join, link.b)).unwrap();
+        let join = join(&scene, &goal, link.a, link.b);
         // Only along the normal is the lateral distance 0.
         let mut after = scene.clone();
-        after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join.movement);
+        after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join);
         let (distance, angle) = error(&after, &goal, link.a, link.b);
         // It is meant to go 2 cm too far.
-        let beyond = Vector3::from_column_slice(&join.movement[..3]) * STEP_M;
+        let beyond = Vector3::from_column_slice(&join[..3]) * STEP_M;
         if (distance - 0.02).abs() < 1e-4 && (beyond.norm() - 0.12).abs() < 1e-4 {
             assert!(angle < 1e-3);
             return;
@@ -145,18 +142,16 @@ fn a_turned_block_is_turned_on_the_way_and_stays_off_until_then() {
     let link = goal.links()[0];
     let mut scene = scattered();
     place(&mut scene, &goal, link.a, link.b, Vector3::zeros(), Vector3::new(0.0, 0.3, 0.2));
-    let join_of =
-        |scene: &Scene| proposals(scene, &goal).get(link.a, Slot::paired(Kind::Join, link.b)).unwrap().movement;
-    let join = join_of(&with_one_gripper(scene.clone()));
+    let alone = join(&with_one_gripper(scene.clone()), &goal, link.a, link.b);
     let mut after = scene.clone();
-    after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join);
+    after.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &alone);
     let (distance, angle) = error(&after, &goal, link.a, link.b);
     assert!(angle < 1e-3, "{angle}");
     // 0.15 m/rad of the turn of 0.36 rad beyond 0.1 rad.
     let turn = Vector3::new(0.0_f32, 0.3, 0.2).norm();
     assert!((distance - 0.15 * (turn - 0.1)).abs() < 1e-3, "{distance}");
     // Half of it, where the partner can come too.
-    assert_eq!(join_of(&scene), join.map(|x| 0.5 * x));
+    assert_eq!(join(&scene, &goal, link.a, link.b), alone.map(|x| 0.5 * x));
 }
 
 /// Returns how deep the deepest point of a 5 × 5 × 5 grid on `i` is in `j`, m; 0 if none is inside.
@@ -183,8 +178,7 @@ fn a_block_that_must_turn_where_it_touches_its_partner_backs_off() {
             scene.blocks[link.b.get()].position[2] = 2.0;
             // In its place but for the turn, so a corner is in the partner.
             place(&mut scene, goal, link.a, link.b, Vector3::zeros(), Vector3::from(turn));
-            let slot = Slot::paired(Kind::Join, link.b);
-            let join = proposals(&scene, goal).get(link.a, slot).unwrap().movement;
+            let join = join(&scene, goal, link.a, link.b);
             n_touching += usize::from(depth(&scene, link.a, link.b) > 0.005);
             scene.blocks[link.a.get()] = moved(&scene.blocks[link.a.get()], &join);
             assert!(depth(&scene, link.a, link.b) < 0.004, "{} {turn:?}", goal.id());
@@ -204,13 +198,10 @@ fn the_larger_of_two_pieces_waits_above_the_ground_until_the_smaller_one_is_alig
     scene.joints = vec![Joint { a: made.a, b: made.b, relative: made.relative }];
     let is_made = |block: BlockIdx| block == made.a || block == made.b;
     let (large, small) = if is_made(open.a) { (open.a, open.b) } else { (open.b, open.a) };
-    let join = |scene: &Scene, block: BlockIdx, partner| {
-        proposals(scene, &goal).get(block, Slot::paired(Kind::Join, partner)).unwrap().movement
-    };
     // The smaller one comes if its move is the same without the other gripper.
     let joins = |scene: &Scene| {
-        let comes = join(scene, small, large) == join(&with_one_gripper(scene.clone()), small, large);
-        (join(scene, large, small), comes)
+        let comes = join(scene, &goal, small, large) == join(&with_one_gripper(scene.clone()), &goal, small, large);
+        (join(scene, &goal, large, small), comes)
     };
     // Once the block and the place beside it are higher than half a meter, it stays.
     for _ in 0..3 {
@@ -293,9 +284,8 @@ fn a_block_that_was_pushed_in_vain_goes_back() {
     let (goal, mut scene) = (goal("2_000"), scattered());
     let link = goal.links()[0];
     let joined = |scene: &Scene| {
-        let join = proposals(scene, &goal).get(link.a, Slot::paired(Kind::Join, link.b)).unwrap();
         let own = &scene.blocks[link.a.get()];
-        let (from, to) = (own.position, moved(own, &join.movement).position);
+        let (from, to) = (own.position, moved(own, &join(scene, &goal, link.a, link.b)).position);
         [0, 1, 2].map(|axis| to[axis] - from[axis])
     };
     let free = joined(&scene);
@@ -520,19 +510,15 @@ fn kernels_and_burn_agree_on_the_loss_and_on_every_gradient() {
     }
     let gradient = engine.gradient(leaves, &total, &draws, Vec::new());
 
-    let mut output = on_burn.forward(&BatchTensors::new(&batch.select(&order), on_burn.edge_layout(), &tracked));
+    let mut output = on_burn.forward(&BatchTensors::new(&batch.select(&order), &tracked));
     output.draws = output.readouts.as_ref().map(|readouts| DrawLogits::new(&draws, readouts));
     let (expected, total) = loss(&output);
     log_probs.iter().zip(&expected).for_each(|(a, b)| assert!((a - b).abs() < 1e-4, "{a} {b}"));
     let expected = parameters::flatten_gradients(&on_burn, &mut total.backward());
-    let mut at = 0;
-    for spec in on_burn.table() {
-        let span = at..at + spec.len();
+    for (spec, span) in parameters::spans(on_burn.table()) {
         let largest = expected[span.clone()].iter().fold(1e-6_f32, |most, x| most.max(x.abs()));
-        for (found, expected) in gradient[span.clone()].iter().zip(&expected[span.clone()]) {
+        for (found, expected) in gradient[span.clone()].iter().zip(&expected[span]) {
             assert!((found - expected).abs() < 5e-5 * largest, "{}: {found} {expected}", spec.name);
         }
-        at = span.end;
     }
-    let _: Option<Tensor<3>> = output.readouts;
 }

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
+use blueprints::{BlockIdx, Blueprint, Catalog};
 use burn::tensor::Device;
 use policy::normalization::FeatureMoments;
 use policy::parameters::{self, Initializer};
@@ -12,8 +12,8 @@ use policy::{
     BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig, ResnetConfig,
 };
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, Gripper, Joint, Normalization, Observation, Pose, Scene, Valid,
-    Weights, WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, Joint, Normalization, Observation, Pose, Scene, Valid, Weights,
+    WeightsVersion,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -43,7 +43,7 @@ fn weights(config: &PolicyConfig, seed: u64) -> Weights {
         network_hash: config.hash(),
         settings: CanonicalSettings::default().with("policy", config),
         parameters: parameters::flatten(&network),
-        normalization: Normalization { value_std: 1.0, ..Normalization::default() },
+        normalization: Normalization::default(),
         task_probabilities: BTreeMap::new(),
     }
 }
@@ -54,18 +54,10 @@ fn blueprint() -> &'static Blueprint {
 
 fn scene(seed: u64) -> Scene {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let orientation = [0.0, 0.0, 0.0, 1.0];
-    let gripper = Gripper { held: None, orientation, linear_velocity: [0.0; 3], angular_velocity: [0.0; 3] };
-    Scene {
-        blocks: std::array::from_fn(|_| Pose {
-            position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
-            orientation,
-        }),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(gripper), Some(gripper)],
-        n_heavy_contacts: 0,
-    }
+    Scene::at_rest(std::array::from_fn(|_| Pose {
+        position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+    }))
 }
 
 fn scenes(seeds: &[u64]) -> Vec<Scene> {
@@ -94,8 +86,7 @@ fn rngs(seeds: &[u64]) -> Vec<ChaCha8Rng> {
 #[test]
 fn weights_that_do_not_fit_are_refused_and_the_old_ones_stay() {
     let config = small();
-    let mut policy = Policy::new(&config);
-    policy.load(&weights(&config, 1)).unwrap();
+    let mut policy = Policy::with_weights(&config, &weights(&config, 1)).unwrap();
     let before = values(&mut policy, &[1, 2]);
     type Spoil = fn(&mut Weights);
     let cases: [(Spoil, &str); 10] = [
@@ -130,13 +121,11 @@ fn a_scene_without_a_distribution_is_an_error() {
     let stray = BlockIdx::all().find(|block| !blueprint().contains(*block)).unwrap();
     let mut trap = weights(&config, 1);
     let network = Network::init(&config.network, &config.sizes(), 1, &Device::flex());
-    let mut at = 0;
-    for spec in network.table() {
+    for (spec, span) in parameters::spans(network.table()) {
         if spec.name.ends_with("input_global.w") {
-            let row = at + (9 + stray.get()) * spec.shape[1];
+            let row = span.start + (9 + stray.get()) * spec.shape[1];
             trap.parameters[row..row + spec.shape[1]].fill(1e30);
         }
-        at += spec.len();
     }
     policy.load(&trap).unwrap();
     act(&mut policy, &[1]);
@@ -152,8 +141,7 @@ fn a_scene_without_a_distribution_is_an_error() {
 #[test]
 fn a_decision_depends_on_its_own_scene_and_generator_alone() {
     let config = small();
-    let mut policy = Policy::new(&config);
-    policy.load(&weights(&config, 3)).unwrap();
+    let mut policy = Policy::with_weights(&config, &weights(&config, 3)).unwrap();
     let seeds = [4, 5, 6];
     let together = act(&mut policy, &seeds);
     for (seed, decision) in seeds.iter().zip(&together) {
@@ -171,8 +159,7 @@ fn a_decision_depends_on_its_own_scene_and_generator_alone() {
 #[test]
 fn features_decide_as_their_scenes_do() {
     let config = masked();
-    let mut policy = Policy::new(&config);
-    policy.load(&weights(&config, 3)).unwrap();
+    let mut policy = Policy::with_weights(&config, &weights(&config, 3)).unwrap();
     let seeds = [4, 5, 6];
     let mut batch = FeatureBatch::new(&config.features);
     batch.fill(&observations(&scenes(&seeds)));
@@ -209,8 +196,7 @@ fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
 #[test]
 fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
     let config = masked();
-    let mut policy = Policy::new(&config);
-    policy.load(&weights(&config, 5)).unwrap();
+    let mut policy = Policy::with_weights(&config, &weights(&config, 5)).unwrap();
     let scenes = scenes(&[7, 8]);
     let attention = policy.attention(&observations(&scenes));
     let decisions = policy.act(&observations(&scenes), &[ActionMode::Greedy; 2], &mut rngs(&[7, 8])).unwrap();
@@ -235,9 +221,8 @@ fn attention_is_shared_out_in_full_and_choices_are_those_of_the_policy() {
 #[test]
 fn values_come_back_in_reward_units() {
     let config = small();
-    let mut policy = Policy::new(&config);
     let mut scaled = weights(&config, 1);
-    policy.load(&scaled).unwrap();
+    let mut policy = Policy::with_weights(&config, &scaled).unwrap();
     let raw = values(&mut policy, &[1])[0];
     scaled.normalization.value_mean = -2.0;
     scaled.normalization.value_std = 3.0;
@@ -252,7 +237,7 @@ fn statistics_leave_bits_alone_and_center_the_rest() {
     data.fill(&observations(&scenes(&(0..50).collect::<Vec<_>>())));
     let mut moments = FeatureMoments::default();
     moments.push(&data);
-    let mut statistics = Normalization { value_std: 1.0, ..Normalization::default() };
+    let mut statistics = Normalization::default();
     moments.freeze_into(&mut statistics);
     // Globals 9..25 are a one-hot, edge 23 is a bit; edge 18 is an offset.
     assert_eq!((statistics.feature_mean[2][12], statistics.feature_std[2][12]), (0.0, 1.0));
@@ -283,10 +268,8 @@ fn initial_values_follow_haiku() {
         let values = parameters::flatten(&network);
         assert_eq!(values, parameters::flatten(&Network::init(&config, &sizes, 11, &Device::flex())));
         assert_ne!(values, parameters::flatten(&Network::init(&config, &sizes, 12, &Device::flex())));
-        let mut at = 0;
-        for spec in network.table() {
-            let part = &values[at..at + spec.len()];
-            at += spec.len();
+        for (spec, span) in parameters::spans(network.table()) {
+            let part = &values[span];
             let (fan_in, fan_out) = (spec.shape[0] as f32, spec.shape[spec.shape.len() - 1] as f32);
             // A unit normal truncated at ±2 has standard deviation 0.8796.
             let (std, limit) = match spec.initializer {

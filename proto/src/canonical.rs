@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::config_hash;
+use crate::setting::schema::json_of;
 
 /// Maximum length of the text, in bytes. All settings of a policy and a world take about 4 kB.
 const MAX_BYTES: usize = 1 << 16;
@@ -62,10 +63,7 @@ impl CanonicalSettings {
     /// If `section` has no JSON form. Every configuration has one.
     #[must_use]
     pub fn with(mut self, path: &str, section: &impl Serialize) -> Self {
-        // By way of text, so that an f32 such as 0.1 does not become 0.10000000149011612.
-        let text = serde_json::to_string(section).expect("a configuration is JSON");
-        let value = serde_json::from_str(&text).expect("it was just written");
-        self.insert(path, &value);
+        self.insert(path, &json_of(section).expect("a configuration is JSON"));
         self
     }
 

@@ -67,6 +67,17 @@ impl Joint {
 }
 
 impl Scene {
+    /// Returns blocks at rest in these poses, without connections, and grippers that have not held a block yet.
+    pub fn at_rest(blocks: [Pose; N_BLOCKS]) -> Self {
+        Self {
+            blocks,
+            speeds_mps: [0.0; N_BLOCKS],
+            joints: Vec::new(),
+            grippers: [Some(Gripper::IDLE); N_GRIPPERS],
+            n_heavy_contacts: 0,
+        }
+    }
+
     /// Returns, for each block, the lowest block index in its component, where connections that `goal` requires join
     /// blocks into components. Blocks of one component have the same value.
     pub fn pieces(&self, goal: &Blueprint) -> [usize; N_BLOCKS] {

@@ -35,7 +35,7 @@ mod range;
 pub mod schema;
 
 pub use self::range::{InvalidSetting, Number, Setting, above, above_to};
-use self::schema::Schema;
+use self::schema::{Schema, json_of};
 
 /// A part of the configuration with its own keys. [`settings!`](crate::settings) implements this trait.
 pub trait Section {
@@ -78,10 +78,8 @@ pub fn shown(value: &(impl Serialize + Debug)) -> String {
             leaf => leaf.to_string(),
         }
     }
-    // By way of text, so that an f32 such as 0.1 does not become 0.10000000149011612.
-    let read = serde_json::to_string(value).and_then(|json| serde_json::from_str::<Value>(&json));
     // NaN and infinity have no JSON form.
-    read.ok().filter(|value| !value.is_null()).map_or_else(|| format!("{value:?}"), |value| text(&value))
+    json_of(value).ok().filter(|value| !value.is_null()).map_or_else(|| format!("{value:?}"), |value| text(&value))
 }
 
 /// Defines sections of the configuration: types with serde derives, defaults, ranges, and checks.

@@ -1,12 +1,13 @@
 //! Fetching: chooses the next pieces and brings them in.
 
-use blueprints::BlockIdx;
 use blueprints::assembly::{Approach, MIN_BUILD_MARGIN_U, Parts};
+use blueprints::{BlockIdx, UNIT_M};
 use nalgebra::{Isometry3, Vector3};
 
 use super::motion::{Limits, Load, Twist, gap};
 use super::view::View;
 use super::{Activity, Base, Command, Expert};
+use crate::world::CONTROL_DT_S;
 
 /// Maximum distance from the approach path's axis for a piece to come in all the way, m. A piece farther aside holds
 /// back by `ASIDE_SLOPE` times the excess.
@@ -119,7 +120,8 @@ impl Expert {
         let target = frame * self.place(part);
         let mut first = None;
         for Approach { direction, length_half_units } in self.assembly.approaches(base.side, placed, piece) {
-            let way = frame.rotation * Self::way_m(direction, length_half_units);
+            let length_m = length_half_units as f32 * UNIT_M / 2.0;
+            let way = frame.rotation * (Vector3::from(direction.map(|x| x as f32)) * length_m);
             let job = Job { parts: piece, gripped, target, way };
             // A piece halfway in stays on its path, or a stray at the margin would make it dither between two paths.
             let is_coming = way_in(&self.limits, view.pose(gripped), &job).is_some();
@@ -149,11 +151,6 @@ impl Expert {
     /// Returns the boxes of a job's piece along its approach path.
     fn swept(&self, view: &View, job: &Job) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
         [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().flat_map(|share| self.boxes_at(view, job, job.way * share)).collect()
-    }
-
-    /// Returns the boxes of a job's piece `height` meters above the start of its approach path.
-    fn at_entry(&self, view: &View, job: &Job, height: f32) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
-        self.boxes_at(view, job, job.way + Vector3::z() * height)
     }
 
     /// Returns the boxes of a job's piece at `offset` from its target.
@@ -208,8 +205,8 @@ impl Expert {
         let load = Load::new(view, job.gripped);
         let mut avoid = self.swept(view, first);
         // The first piece comes down on its path from above.
-        let above: Vec<_> = SKY_M.iter().flat_map(|&height| self.at_entry(view, first, height)).collect();
-        avoid.extend(above);
+        let above = SKY_M.map(|height_m| first.way + Vector3::z() * height_m);
+        avoid.extend(above.into_iter().flat_map(|offset| self.boxes_at(view, first, offset)));
         avoid.extend(first.parts.iter().map(|part| {
             let block = self.block(part);
             (*view.pose(block), view.half_extents[block.get()])
@@ -270,9 +267,9 @@ fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
     on_the_way.then(|| {
         let mut to = job.target;
         let left = if along > BRAKE_M + 0.005 {
-            (along - ENTRY_SPEED_MPS * limits.step_s).max(BRAKE_M)
+            (along - ENTRY_SPEED_MPS * CONTROL_DT_S).max(BRAKE_M)
         } else {
-            (along - TOUCH_SPEED_MPS * limits.step_s).max(0.0)
+            (along - TOUCH_SPEED_MPS * CONTROL_DT_S).max(0.0)
         };
         to.translation.vector += direction * left.max(back.min(length));
         limits.toward(from, &to)

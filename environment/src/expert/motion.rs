@@ -36,7 +36,6 @@ const CEILING_M: f32 = 1.6;
 pub(super) struct Limits {
     pub(super) max_speed_mps: f32,
     pub(super) max_turn_radps: f32,
-    pub(super) step_s: f32,
 }
 
 /// Motion of a held block over one step, world frame.
@@ -54,7 +53,7 @@ pub(super) struct Load {
 
 impl Limits {
     pub(super) fn new(config: &EnvironmentConfig) -> Self {
-        Self { max_speed_mps: config.max_speed_mps, max_turn_radps: config.max_turn_radps, step_s: CONTROL_DT_S }
+        Self { max_speed_mps: config.max_speed_mps, max_turn_radps: config.max_turn_radps }
     }
 
     /// Returns the motion that reaches `to` from `from` in one step, or approaches it as fast as the gripper can.
@@ -62,8 +61,8 @@ impl Limits {
     /// The world clips each component in the block's frame, which would bend the path. Here, all components shrink
     /// together.
     pub(super) fn toward(&self, from: &Isometry3<f32>, to: &Isometry3<f32>) -> Twist {
-        let linear = (to.translation.vector - from.translation.vector) / self.step_s;
-        let angular = (to.rotation * from.rotation.inverse()).scaled_axis() / self.step_s;
+        let linear = (to.translation.vector - from.translation.vector) / CONTROL_DT_S;
+        let angular = (to.rotation * from.rotation.inverse()).scaled_axis() / CONTROL_DT_S;
         self.clipped(&from.rotation, Twist { linear, angular })
     }
 
@@ -92,16 +91,9 @@ impl Limits {
         let mut twist = self.toward(from, &via);
         twist.linear.x *= share;
         twist.linear.y *= share;
-        twist.linear.z = (climb / self.step_s).clamp(-self.max_speed_mps, self.max_speed_mps);
+        twist.linear.z = (climb / CONTROL_DT_S).clamp(-self.max_speed_mps, self.max_speed_mps);
         twist.angular *= share;
         self.clipped(&from.rotation, twist)
-    }
-
-    /// Returns the pose after `fraction` of a step.
-    fn advanced(&self, from: &Isometry3<f32>, twist: Twist, fraction: f32) -> Isometry3<f32> {
-        let dt = self.step_s * fraction;
-        let turn = UnitQuaternion::from_scaled_axis(twist.angular * dt);
-        Isometry3::from_parts(Translation3::from(from.translation.vector + twist.linear * dt), turn * from.rotation)
     }
 }
 
@@ -127,30 +119,24 @@ impl Load {
     /// path is not.
     pub(super) fn go(&self, view: &View, limits: &Limits, target: &Isometry3<f32>) -> Twist {
         let from = view.pose(self.gripped);
-        if self.is_free(view, limits, from, |at| limits.arch(at, target)) {
+        if self.is_free(view, from, |at| limits.arch(at, target)) {
             return limits.arch(from, target);
         }
         for detour in DETOURS_M {
             let mut via = *target;
             via.translation.z += detour;
-            if self.is_free(view, limits, from, |at| limits.toward(at, &via)) {
+            if self.is_free(view, from, |at| limits.toward(at, &via)) {
                 return limits.toward(from, &via);
             }
         }
         // Go up without turning, because the start may be narrow.
         let mut via = *from;
-        via.translation.z = (via.translation.z + limits.max_speed_mps * limits.step_s).min(CEILING_M);
+        via.translation.z = (via.translation.z + limits.max_speed_mps * CONTROL_DT_S).min(CEILING_M);
         limits.toward(from, &via)
     }
 
     /// Returns whether moving from `from` according to `way` touches nothing.
-    pub(super) fn is_free(
-        &self,
-        view: &View,
-        limits: &Limits,
-        from: &Isometry3<f32>,
-        way: impl Fn(&Isometry3<f32>) -> Twist,
-    ) -> bool {
+    pub(super) fn is_free(&self, view: &View, from: &Isometry3<f32>, way: impl Fn(&Isometry3<f32>) -> Twist) -> bool {
         let mut at = *from;
         for step in 0..MAX_STEPS {
             let twist = way(&at);
@@ -158,14 +144,14 @@ impl Load {
                 break;
             }
             for sample in 1..=SAMPLES_PER_STEP {
-                let pose = limits.advanced(&at, twist, sample as f32 / SAMPLES_PER_STEP as f32);
+                let pose = advanced(&at, twist, sample as f32 / SAMPLES_PER_STEP as f32);
                 // Blocks that are already close may stay close for a moment.
                 let margin = if step == 0 { MARGIN_M * sample as f32 / SAMPLES_PER_STEP as f32 } else { MARGIN_M };
                 if self.hits(view, &pose, margin) {
                     return false;
                 }
             }
-            at = limits.advanced(&at, twist, 1.0);
+            at = advanced(&at, twist, 1.0);
         }
         true
     }
@@ -182,9 +168,7 @@ impl Load {
                 })
         })
     }
-}
 
-impl Load {
     /// Returns the height of the load's lowest corner at `pose`, m.
     pub(super) fn lowest_m(&self, view: &View, pose: &Isometry3<f32>) -> f32 {
         let low = |(block, relative): &(BlockIdx, Isometry3<f32>)| {
@@ -217,14 +201,17 @@ impl Load {
     }
 }
 
-/// Returns the height of a box's lowest corner, m.
-pub(super) fn lowest(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
-    pose.translation.z - reach(pose, half)
+/// Returns the pose after `fraction` of a step.
+fn advanced(from: &Isometry3<f32>, twist: Twist, fraction: f32) -> Isometry3<f32> {
+    let dt = CONTROL_DT_S * fraction;
+    let turn = UnitQuaternion::from_scaled_axis(twist.angular * dt);
+    Isometry3::from_parts(Translation3::from(from.translation.vector + twist.linear * dt), turn * from.rotation)
 }
 
-fn reach(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
+/// Returns the height of a box's lowest corner, m.
+pub(super) fn lowest(pose: &Isometry3<f32>, half: &Vector3<f32>) -> f32 {
     let down = pose.rotation.inverse_transform_vector(&Vector3::z());
-    down.abs().dot(half)
+    pose.translation.z - down.abs().dot(half)
 }
 
 /// Returns a lower bound on the distance between two boxes in meters; negative if they overlap or almost overlap.

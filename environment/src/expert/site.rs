@@ -1,8 +1,8 @@
 //! Where to build: on free ground, away from the other blocks.
 
+use blueprints::BlockIdx;
 use blueprints::assembly::extent_m;
-use blueprints::{BlockIdx, UNIT_M};
-use nalgebra::{Isometry3, Vector2, Vector3};
+use nalgebra::{Isometry3, Vector2};
 
 use super::view::View;
 use super::{Base, Expert};
@@ -58,10 +58,5 @@ impl Expert {
         // In a crowd, nearby blocks deflect the direction but never reverse it.
         let aside = push * (PUSH_WEIGHT / push.norm().max(1.0));
         (crowd > 0.0).then(|| (outwards + aside).try_normalize(1e-3).unwrap_or_else(Vector2::x))
-    }
-
-    /// Returns the vector along an approach path, m.
-    pub(super) fn way_m(direction: [i32; 3], length_half_units: i32) -> Vector3<f32> {
-        Vector3::from(direction.map(|x| x as f32)) * (length_half_units as f32 * UNIT_M / 2.0)
     }
 }

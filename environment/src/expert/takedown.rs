@@ -39,23 +39,12 @@ impl Expert {
         };
         let size = |at: BlockIdx| view.part_of[at.get()].map_or(1, |part| view.piece(part).len());
         let loose = nodes.into_iter().min_by_key(|&at| (strength(at), size(at), at))?;
-        let mut pull = Vector3::zeros();
-        let mut grips: Option<(usize, BlockIdx, BlockIdx)> = None;
-        for joint in wrong {
-            let (own, other) = match (node(joint.a) == loose, node(joint.b) == loose) {
-                (true, false) => (joint.a, joint.b),
-                (false, true) => (joint.b, joint.a),
-                _ => continue,
-            };
-            let outward = view.pose(joint.a).rotation * normal(joint);
-            let n = n_pairs(joint).min(3);
-            pull += (if own == joint.b { outward } else { -outward }) * n as f32;
-            if grips.is_none_or(|(most, ..)| n > most) {
-                grips = Some((n, own, other));
-            }
-        }
-        let (_, own, other) = grips?;
-        Some(self.pull(view, own, other, pull))
+        let sides = wrong.iter().filter_map(|joint| match (node(joint.a) == loose, node(joint.b) == loose) {
+            (true, false) => Some((joint, joint.a)),
+            (false, true) => Some((joint, joint.b)),
+            _ => None,
+        });
+        self.pull_at(view, sides)
     }
 
     /// Takes a part off a piece that cannot be completed.
@@ -71,18 +60,25 @@ impl Expert {
     /// Pulls one part off the correctly connected piece that it belongs to.
     pub(super) fn split_off(&self, view: &View, part: usize) -> Vec<Command> {
         let block = self.block(part);
+        let joints = view.joints.iter().filter(|j| j.a == block || j.b == block);
+        self.pull_at(view, joints.map(|joint| (joint, block))).unwrap_or_default()
+    }
+
+    /// Pulls a piece off at its connections, each given with its block of that piece: at the one with the most magnets,
+    /// in the direction of all. Returns `None` without connections.
+    fn pull_at<'a>(&self, view: &View, joints: impl Iterator<Item = (&'a Joint, BlockIdx)>) -> Option<Vec<Command>> {
         let mut pull = Vector3::zeros();
-        let mut grip: Option<(usize, BlockIdx)> = None;
-        for joint in view.joints.iter().filter(|j| j.a == block || j.b == block) {
-            let other = if joint.a == block { joint.b } else { joint.a };
+        let mut grips: Option<(usize, BlockIdx, BlockIdx)> = None;
+        for (joint, own) in joints {
             let outward = view.pose(joint.a).rotation * normal(joint);
             let n = n_pairs(joint).min(3);
-            pull += (if joint.b == block { outward } else { -outward }) * n as f32;
-            if grip.is_none_or(|(most, _)| n > most) {
-                grip = Some((n, other));
+            pull += (if own == joint.b { outward } else { -outward }) * n as f32;
+            if grips.is_none_or(|(most, ..)| n > most) {
+                grips = Some((n, own, if own == joint.a { joint.b } else { joint.a }));
             }
         }
-        grip.map_or_else(Vec::new, |(_, other)| self.pull(view, block, other, pull))
+        let (_, own, other) = grips?;
+        Some(self.pull(view, own, other, pull))
     }
 
     /// Bends, twists, and pulls two connected blocks apart.
@@ -100,9 +96,7 @@ impl Expert {
             Command { block: other, twist: Twist { linear: -linear, angular: -angular } },
         ]
     }
-}
 
-impl Expert {
     /// Turns the connection upright, lifts it, and throws it onto the ground, because one gripper alone cannot pull.
     fn slam(&self, view: &View, own: BlockIdx, direction: Vector3<f32>) -> Command {
         let blocks = BlockIdx::all().filter(|&block| view.together(block, own));

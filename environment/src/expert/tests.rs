@@ -32,10 +32,6 @@ fn finish(world: &mut World, expert: &mut Expert) -> bool {
     }
 }
 
-fn two_grippers() -> Valid<EnvironmentConfig> {
-    Valid::default()
-}
-
 #[test]
 fn it_builds_from_scattered_and_from_prebuilt_starts() {
     for (goal, start) in [
@@ -47,7 +43,7 @@ fn it_builds_from_scattered_and_from_prebuilt_starts() {
         ("12_000", Start::Scattered),
         ("16_001", Start::Scattered),
     ] {
-        let (mut world, mut expert) = begin(&two_grippers(), goal, start.clone(), 3);
+        let (mut world, mut expert) = begin(&Valid::default(), goal, start.clone(), 3);
         assert!(finish(&mut world, &mut expert), "{goal} from {start:?}");
     }
 }
@@ -73,7 +69,7 @@ fn one_gripper_builds_and_takes_down_what_stands() {
 fn an_action_depends_on_the_scene_and_the_blueprint_alone() {
     // An expert that has seen the whole episode and one that sees only this scene act alike.
     for (goal, start) in [("4_000", Start::Prebuilt(id("6_000"))), ("12_000", Start::Scattered)] {
-        let config = two_grippers();
+        let config = Valid::default();
         let (mut world, mut expert) = begin(&config, goal, start, 1);
         loop {
             let action = expert.act(world.scene());
@@ -88,7 +84,7 @@ fn an_action_depends_on_the_scene_and_the_blueprint_alone() {
 
 #[test]
 fn its_actions_are_those_of_a_policy() {
-    let (mut world, mut expert) = begin(&two_grippers(), "6_005", Start::Scattered, 5);
+    let (mut world, mut expert) = begin(&Valid::default(), "6_005", Start::Scattered, 5);
     loop {
         let action = expert.act(world.scene());
         // There is no null action: every gripper chooses a block, and no entry exceeds the limits.
@@ -106,7 +102,7 @@ fn it_recovers_from_what_it_did_not_do() {
     let mut rng = ChaCha8Rng::seed_from_u64(8);
     let mut n_built = 0;
     for seed in 0..4 {
-        let (mut world, mut expert) = begin(&two_grippers(), "4_000", Start::Scattered, seed);
+        let (mut world, mut expert) = begin(&Valid::default(), "4_000", Start::Scattered, seed);
         for step in 0..20 {
             let mut action = expert.act(world.scene());
             if step % 2 == 1 {
@@ -122,7 +118,7 @@ fn it_recovers_from_what_it_did_not_do() {
 
 #[test]
 fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
-    let (world, expert) = begin(&two_grippers(), "2_000", Start::Scattered, 1);
+    let (world, expert) = begin(&Valid::default(), "2_000", Start::Scattered, 1);
     let mut scene = world.scene().clone();
     // Three cubes in a row, 0.3 m apart, and everything else far away.
     for (i, pose) in scene.blocks.iter_mut().enumerate() {
@@ -135,8 +131,7 @@ fn a_way_over_a_block_is_free_and_one_through_it_is_not() {
     let from = *view.pose(cube);
     let at = |x: f32, z: f32| Isometry3::from_parts(Translation3::new(x, 0.0, z), UnitQuaternion::identity());
     let limits = &expert.limits;
-    let is_free =
-        |from: Isometry3<f32>, to: Isometry3<f32>| load.is_free(&view, limits, &from, |at| limits.toward(at, &to));
+    let is_free = |from: Isometry3<f32>, to: Isometry3<f32>| load.is_free(&view, &from, |at| limits.toward(at, &to));
     assert!(!is_free(from, at(0.45, 0.05)), "through the second cube");
     assert!(is_free(from, at(0.15, 0.05)), "up to its side");
     assert!(is_free(at(0.0, 0.3), at(0.6, 0.3)), "over both");

@@ -32,7 +32,7 @@ struct Head {
 pub(super) struct Fold {
     heads: Vec<Head>,
     /// Whether nodes are raw features.
-    is_raw: bool,
+    pub(super) is_raw: bool,
     /// Length of a node's vector: w, or nd + 1 for raw features.
     pub(super) n_in: usize,
     /// `[n_in, H · n_in]` and `[n_in, H · ed]`
@@ -95,11 +95,6 @@ impl Fold {
         fold.to_edge = beside(&to_edge, ed);
         fold.heads = heads;
         fold
-    }
-
-    /// Whether nodes are raw features.
-    pub(super) fn is_raw(&self) -> bool {
-        self.is_raw
     }
 
     /// Sets a gradient to zero.

@@ -2,7 +2,7 @@
 
 use super::activations::Activations;
 use super::layer::Flow;
-use super::matmul::{Base, Packed, add_transposed, product};
+use super::matmul::{Base, Packed, add_transposed, product, product_of};
 use super::ops::{add, add_rows, dot, relu_backward, softmax};
 use super::spans::{Context, Linear, Shape};
 use crate::config::MIN_STD;
@@ -92,8 +92,7 @@ impl PolicyKernels {
             product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut out.readouts[at..]);
         }
 
-        let mut own = vec![0.0; x.n * w];
-        product(arch, &x.raw_global, &self.input_global, Base::Zero, false, &mut own);
+        let own = product_of(arch, &x.raw_global, &self.input_global);
         x.grip_input.clear();
         for (own, global) in own.chunks_exact(w).zip(global.chunks_exact(w)) {
             x.grip_input.extend_from_slice(own);
@@ -105,7 +104,8 @@ impl PolicyKernels {
         product(arch, nodes, &self.block_key, Base::Zero, false, &mut x.block_keys);
         let of_held = &net.of(&spans.block_key)[w * w..];
         let keys = x.block_keys.chunks_exact_mut(N * w);
-        for ((keys, grips), raw) in keys.zip(x.grip.chunks_exact(g * w)).zip(x.raw_global.chunks_exact(raw_len(shape)))
+        for ((keys, grips), raw) in
+            keys.zip(x.grip.chunks_exact(g * w)).zip(x.raw_global.chunks_exact(shape.sizes.global))
         {
             for (gripper, row) in of_held.chunks_exact(w).enumerate() {
                 for (key, &bit) in keys.chunks_exact_mut(w).zip(held(shape, raw, gripper)) {
@@ -152,7 +152,7 @@ impl PolicyKernels {
         let scenes = of_keys.chunks_exact_mut(N * w).zip(of_grip.chunks_exact_mut(g * w)).enumerate();
         for (scene, (of_keys, of_grip)) in scenes {
             let keys = &x.block_keys[scene * N * w..(scene + 1) * N * w];
-            let raw = &x.raw_global[scene * raw_len(shape)..(scene + 1) * raw_len(shape)];
+            let raw = &x.raw_global[scene * shape.sizes.global..][..shape.sizes.global];
             for (gripper, of_grip) in of_grip.chunks_exact_mut(w).enumerate() {
                 let grip = &x.grip[(scene * g + gripper) * w..][..w];
                 let logits = &logits[(scene * g + gripper) * N..][..N];
@@ -174,11 +174,9 @@ impl PolicyKernels {
         add_transposed(arch, nodes, w, &of_keys, w, on_nodes);
         product(arch, &of_keys, &self.block_key, Base::Kept, false, &mut flow.nodes);
         add_transposed(arch, &x.grip_input, 2 * w, &of_grip, g * w, &mut gradient[spans.grip_key.clone()]);
-        let mut of_input = vec![0.0; x.n * 2 * w];
-        product(arch, &of_grip, &self.grip_key, Base::Zero, false, &mut of_input);
+        let of_input = product_of(arch, &of_grip, &self.grip_key);
         let own: Vec<f32> = of_input.chunks_exact(2 * w).flat_map(|row| row[..w].iter().copied()).collect();
-        let n_raw = raw_len(shape);
-        add_transposed(arch, &x.raw_global, n_raw, &own, w, &mut gradient[spans.input_global.clone()]);
+        add_transposed(arch, &x.raw_global, shape.sizes.global, &own, w, &mut gradient[spans.input_global.clone()]);
         for (global, input) in flow.global.chunks_exact_mut(w).zip(of_input.chunks_exact(2 * w)) {
             add(arch, &input[w..], global);
         }
@@ -202,9 +200,8 @@ impl ValueKernels {
         let Context { arch, shape, spans, .. } = net;
         let (w, n_choices) = (shape.width, shape.sizes.n_grippers * N);
         let n = out.logits.len() / n_choices;
-        let [mut own, mut graph] = [vec![0.0; n * w], vec![0.0; n * w]];
-        product(arch, &x.raw_global, &self.input_global, Base::Zero, false, &mut own);
-        product(arch, &x.global, &self.graph_global, Base::Zero, false, &mut graph);
+        let own = product_of(arch, &x.raw_global, &self.input_global);
+        let graph = product_of(arch, &x.global, &self.graph_global);
         x.inputs.resize_with(self.mlp.len(), Vec::new);
         let first = &mut x.inputs[0];
         first.clear();
@@ -241,14 +238,13 @@ impl ValueKernels {
         gradient: &mut [f32],
     ) -> Vec<f32> {
         let Context { arch, shape, spans, .. } = net;
-        let w = shape.width;
+        let (w, gd) = (shape.width, shape.sizes.global);
         let mut flow = values.to_vec();
         for (j, (linear, kernel)) in spans.value_mlp.iter().zip(&self.mlp).enumerate().rev() {
             let n_in = linear.w.len() / linear.n_out;
             add_rows(arch, &flow, &mut gradient[linear.b.clone()]);
             add_transposed(arch, &x.inputs[j], n_in, &flow, linear.n_out, &mut gradient[linear.w.clone()]);
-            let mut before = vec![0.0; values.len() * n_in];
-            product(arch, &flow, kernel, Base::Zero, false, &mut before);
+            let mut before = product_of(arch, &flow, kernel);
             if j > 0 {
                 relu_backward(arch, &x.inputs[j], &mut before);
             }
@@ -259,12 +255,9 @@ impl ValueKernels {
             flow.chunks_exact(n_in).flat_map(|row| row[from..from + w].iter().copied()).collect()
         };
         let (own, graph) = (part(0), part(w));
-        let n_raw = raw_len(shape);
-        add_transposed(arch, &x.raw_global, n_raw, &own, w, &mut gradient[spans.value_input_global.clone()]);
+        add_transposed(arch, &x.raw_global, gd, &own, w, &mut gradient[spans.value_input_global.clone()]);
         add_transposed(arch, &x.global, w, &graph, w, &mut gradient[spans.value_graph_global.clone()]);
-        let mut global = vec![0.0; values.len() * w];
-        product(arch, &graph, &self.graph_global, Base::Zero, false, &mut global);
-        global
+        product_of(arch, &graph, &self.graph_global)
     }
 }
 
@@ -279,10 +272,6 @@ pub(super) fn unscale(deviations: &[f32], gradient: &[f32]) -> Vec<f32> {
     // softplus' = sigmoid = 1 − e^−softplus.
     let slope = |deviation: f32| -(-(deviation - MIN_STD)).exp_m1();
     deviations.iter().zip(gradient).map(|(&deviation, g)| if *g == 0.0 { 0.0 } else { g * slope(deviation) }).collect()
-}
-
-fn raw_len(shape: &Shape) -> usize {
-    shape.sizes.global
 }
 
 /// Returns the one-hot of the block that a gripper held: the last 16 entries of its part of the raw globals.

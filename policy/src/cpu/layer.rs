@@ -5,7 +5,7 @@ use super::attend::{Graphs, attend, attend_backward};
 use super::fold::{Fold, FoldGradient};
 use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add_rows, add_to_nodes, layer_norm, layer_norm_backward, relu_backward, sum_nodes};
-use super::spans::{Context, LayerSpans};
+use super::spans::{Context, LayerSpans, Shape};
 
 /// A layer's kernels, packed for multiplication.
 #[derive(Clone, Debug)]
@@ -69,11 +69,9 @@ impl Layer {
     pub(super) fn new(net: Context<'_>, layer: usize, with_gradients: bool) -> Self {
         let fold = Fold::new(net, layer);
         let spans = net.spans.layers[layer].clone();
-        let plain = |w: &[f32], [k, n]: [usize; 2]| Packed::new(w, k, n);
-        let transposed = |w: &[f32], [k, n]: [usize; 2]| Packed::transposed(w, n, k);
         Self {
-            forward: Kernels::new(net, &spans, &fold, plain),
-            backward: with_gradients.then(|| Kernels::new(net, &spans, &fold, transposed)),
+            forward: Kernels::new(net, &spans, &fold, Packed::new),
+            backward: with_gradients.then(|| Kernels::new(net, &spans, &fold, Packed::transposed)),
             spans,
             fold,
         }
@@ -90,16 +88,7 @@ impl Layer {
 
         product(arch, before.input, &forward.to_node, Base::Zero, false, &mut y.compare_nodes);
         product(arch, before.input, &forward.to_edge, Base::Zero, false, &mut y.compare_edges);
-        let graphs = Graphs {
-            n_heads: heads,
-            n: self.fold.n_in,
-            ed: shape.sizes.edge,
-            nodes: before.input,
-            edges: before.edges,
-            edges_t: before.edges_t,
-            compare_nodes: &y.compare_nodes,
-            compare_edges: &y.compare_edges,
-        };
+        let graphs = before.graphs(shape, self.fold.n_in, [&y.compare_nodes, &y.compare_edges]);
         attend(arch, graphs, &mut y.weights, [&mut y.mean_nodes, &mut y.mean_edges]);
         let mut residual = vec![0.0; rows * w];
         product(arch, &y.mean_nodes, &forward.from_nodes, Base::Bias(&self.fold.constant), false, &mut residual);
@@ -200,20 +189,11 @@ impl Layer {
             compare[part].resize(rows * heads * each, 0.0);
             product(arch, nodes, kernel, Base::Zero, false, &mut means[part]);
         }
-        let graphs = Graphs {
-            n_heads: heads,
-            n: n_in,
-            ed,
-            nodes: before.input,
-            edges: before.edges,
-            edges_t: before.edges_t,
-            compare_nodes: &y.compare_nodes,
-            compare_edges: &y.compare_edges,
-        };
+        let graphs = before.graphs(shape, n_in, [&y.compare_nodes, &y.compare_edges]);
         let [mean_nodes, mean_edges] = means;
         let [of_nodes, of_edges] = compare;
         // Raw features have no gradient.
-        let is_raw = self.fold.is_raw();
+        let is_raw = self.fold.is_raw;
         let senders = (!is_raw).then_some(&mut nodes[..]);
         attend_backward(arch, graphs, &y.weights, [mean_nodes, mean_edges], [of_nodes, of_edges], senders);
         add_transposed(arch, before.input, n_in, of_nodes, heads * n_in, &mut folded.to_node);
@@ -234,6 +214,14 @@ pub(super) struct Before<'a> {
     global: &'a [f32],
     edges: &'a [f32],
     edges_t: &'a [f32],
+}
+
+impl<'a> Before<'a> {
+    /// Returns the input of the attention, with vectors of length `n` for the nodes.
+    fn graphs(&self, shape: &Shape, n: usize, [compare_nodes, compare_edges]: [&'a [f32]; 2]) -> Graphs<'a> {
+        let Self { input: nodes, edges, edges_t, .. } = *self;
+        Graphs { n_heads: shape.n_heads, n, ed: shape.sizes.edge, nodes, edges, edges_t, compare_nodes, compare_edges }
+    }
 }
 
 impl Activations {

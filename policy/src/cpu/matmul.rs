@@ -38,7 +38,7 @@ impl Packed {
     ///
     /// # Shapes
     /// `w` `[k, n]`
-    pub(super) fn new(w: &[f32], k: usize, n: usize) -> Self {
+    pub(super) fn new(w: &[f32], [k, n]: [usize; 2]) -> Self {
         debug_assert_eq!(w.len(), k * n);
         let mut data = Vec::with_capacity(k * n);
         for first in (0..n).step_by(PANEL) {
@@ -52,7 +52,7 @@ impl Packed {
     ///
     /// # Shapes
     /// `w` `[n, k]`
-    pub(super) fn transposed(w: &[f32], k: usize, n: usize) -> Self {
+    pub(super) fn transposed(w: &[f32], [n, k]: [usize; 2]) -> Self {
         debug_assert_eq!(w.len(), k * n);
         let mut data = Vec::with_capacity(k * n);
         for first in (0..n).step_by(PANEL) {
@@ -72,15 +72,22 @@ pub(super) fn product(arch: Arch, a: &[f32], w: &Packed, base: Base<'_>, relu: b
     arch.dispatch(Product { a, w, base, relu, c });
 }
 
+/// Computes `a · w`.
+///
+/// # Shapes
+/// a `[m, k]`, w `[k, n]` → `[m, n]`
+pub(super) fn product_of(arch: Arch, a: &[f32], w: &Packed) -> Vec<f32> {
+    let mut c = vec![0.0; a.len() / w.k * w.n];
+    product(arch, a, w, Base::Zero, false, &mut c);
+    c
+}
+
 /// Computes `a · b` of plain matrices.
 ///
 /// # Shapes
 /// a `[m, k]`, b `[k, n]` → `[m, n]`
 pub(super) fn multiply(arch: Arch, a: &[f32], b: &[f32], k: usize) -> Vec<f32> {
-    let n = b.len() / k;
-    let mut c = vec![0.0; a.len() / k * n];
-    product(arch, a, &Packed::new(b, k, n), Base::Zero, false, &mut c);
-    c
+    product_of(arch, a, &Packed::new(b, [k, b.len() / k]))
 }
 
 /// Computes `a · bᵀ` of plain matrices.
@@ -88,10 +95,7 @@ pub(super) fn multiply(arch: Arch, a: &[f32], b: &[f32], k: usize) -> Vec<f32> {
 /// # Shapes
 /// a `[m, k]`, b `[n, k]` → `[m, n]`
 pub(super) fn multiply_transposed(arch: Arch, a: &[f32], b: &[f32], k: usize) -> Vec<f32> {
-    let n = b.len() / k;
-    let mut c = vec![0.0; a.len() / k * n];
-    product(arch, a, &Packed::transposed(b, k, n), Base::Zero, false, &mut c);
-    c
+    product_of(arch, a, &Packed::transposed(b, [b.len() / k, k]))
 }
 
 /// Computes `c += aᵀ · b`: the gradient of a kernel from its input and the gradient of its output.
@@ -476,7 +480,7 @@ mod tests {
         let arch = Arch::new();
         let (m, k, n) = (32, 3, 21);
         let (a, b, bias, graphs) = (numbers(m * k, 3), numbers(k * n, 4), numbers(n, 5), numbers(m / 16 * n, 6));
-        let w = Packed::new(&b, k, n);
+        let w = Packed::new(&b, [k, n]);
         let plain = expected(&a, &b, k);
         let mut c = vec![0.25; m * n];
         product(arch, &a, &w, Base::Kept, false, &mut c);

@@ -87,15 +87,16 @@ impl CpuNetwork {
         parameters::check(parameters, spans.n_parameters)?;
         let arch = Arch::new();
         let net = Context { arch, shape: &shape, spans: &spans, parameters };
-        let plain = |w: &[f32], [k, n]: [usize; 2]| Packed::new(w, k, n);
-        let transposed = |w: &[f32], [k, n]: [usize; 2]| Packed::transposed(w, n, k);
+        let heads =
+            |pack: fn(&[f32], [usize; 2]) -> Packed| (PolicyKernels::new(net, pack), ValueKernels::new(net, pack));
+        let (policy, value) = heads(Packed::new);
         Ok(Self {
-            embed_node: plain(net.of(&spans.embed_node), [shape.sizes.node + 1, shape.width]),
-            embed_global: plain(net.of(&spans.embed_global.w), [shape.sizes.global, shape.width]),
+            embed_node: Packed::new(net.of(&spans.embed_node), [shape.sizes.node + 1, shape.width]),
+            embed_global: Packed::new(net.of(&spans.embed_global.w), [shape.sizes.global, shape.width]),
             layers: (0..shape.gat.n_layers).map(|l| Layer::new(net, l, with_gradients)).collect(),
-            policy: PolicyKernels::new(net, plain),
-            value: ValueKernels::new(net, plain),
-            backward: with_gradients.then(|| (PolicyKernels::new(net, transposed), ValueKernels::new(net, transposed))),
+            backward: with_gradients.then(|| heads(Packed::transposed)),
+            policy,
+            value,
             arch,
             parameters: parameters.to_vec(),
             shape,

@@ -6,7 +6,7 @@ use pulp::Arch;
 
 use crate::config::{EncoderConfig, GatConfig, NetworkConfig};
 use crate::features::FeatureSizes;
-use crate::parameters::ParameterSpec;
+use crate::parameters::{ParameterSpec, spans};
 
 /// The parts of a network that every pass needs.
 #[derive(Clone, Copy)]
@@ -107,14 +107,10 @@ impl Shape {
 impl Spans {
     pub(super) fn new(shape: &Shape, table: &[ParameterSpec]) -> Self {
         let find = |name: &str| -> (Span, usize) {
-            let mut at = 0;
-            for spec in table {
-                if spec.name == name {
-                    return (at..at + spec.len(), *spec.shape.last().expect("every parameter has a shape"));
-                }
-                at += spec.len();
-            }
-            panic!("the network has no parameter {name}")
+            let (spec, span) = spans(table)
+                .find(|(spec, _)| spec.name == name)
+                .unwrap_or_else(|| panic!("the network has no parameter {name}"));
+            (span, *spec.shape.last().expect("every parameter has a shape"))
         };
         let has = |name: &str| table.iter().any(|spec| spec.name == name);
         let span = |name: &str| find(name).0;

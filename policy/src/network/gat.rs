@@ -30,7 +30,7 @@ const NO_EDGE: f32 = -1e9;
 
 /// The graph encoder's parameters.
 #[derive(Module, Debug)]
-pub struct GatEncoder {
+pub(super) struct GatEncoder {
     embed_node: Linear,
     embed_edge: Linear,
     embed_global: Linear,
@@ -55,7 +55,7 @@ struct GatLayer {
 
 /// The edge path of one layer after folding, for H heads, width w, and `ed` raw edge features.
 #[derive(Clone, Debug)]
-struct FoldedLayer {
+pub(super) struct FoldedLayer {
     /// `[w, H·w]` and `[w, H·ed]`: map a receiver to the vectors compared with its senders and its edges, scaled by
     /// 1/√d. `None` without attention.
     attend: Option<[Tensor<2>; 2]>,
@@ -69,14 +69,8 @@ struct FoldedLayer {
     mlp_node: [Tensor<2>; 2],
 }
 
-/// All layers after folding; valid only for the parameters from which it was computed.
-#[derive(Clone, Debug)]
-pub struct FoldedGat {
-    layers: Vec<FoldedLayer>,
-}
-
 impl GatEncoder {
-    pub(crate) fn build(builder: &mut Builder<'_>, config: &GatConfig, width: usize, sizes: &FeatureSizes) -> Self {
+    pub(super) fn build(builder: &mut Builder<'_>, config: &GatConfig, width: usize, sizes: &FeatureSizes) -> Self {
         let init = Initializer::HaikuLinear;
         let inner = config.n_heads * config.head_dim;
         let embed_node = builder.linear("embed_node", [sizes.node, width], init);
@@ -103,8 +97,8 @@ impl GatEncoder {
     }
 
     /// Multiplies consecutive matrices that have no nonlinearity between them.
-    pub fn fold(&self) -> FoldedGat {
-        FoldedGat { layers: self.layers.iter().map(|layer| self.fold_layer(layer)).collect() }
+    pub(super) fn fold(&self) -> Vec<FoldedLayer> {
+        self.layers.iter().map(|layer| self.fold_layer(layer)).collect()
     }
 
     fn fold_layer(&self, layer: &GatLayer) -> FoldedLayer {
@@ -146,22 +140,18 @@ impl GatEncoder {
     /// Encodes a batch.
     ///
     /// # Shapes
-    /// Input as in [`BatchTensors`] with dense edges; output nodes `[B·16, width]` and globals `[B, width]`.
-    pub fn forward(&self, folded: &FoldedGat, batch: &BatchTensors) -> (Tensor<2>, Tensor<2>) {
+    /// Input as in [`BatchTensors`]; output nodes `[B·16, width]` and globals `[B, width]`.
+    pub(super) fn forward(&self, folded: &[FoldedLayer], batch: &BatchTensors) -> (Tensor<2>, Tensor<2>) {
+        assert_eq!(folded.len(), self.layers.len(), "folded weights of this encoder");
         let [b, _, nd] = batch.nodes.dims();
-        let ed = batch.edges.dims()[2];
         let mut nodes = self.embed_node.forward(batch.nodes.clone().reshape([b * N, nd]));
         let mut global = self.embed_global.forward(batch.globals.clone());
-        // One matrix of senders per receiver.
-        let edges = batch.edges.clone().reshape([b * N, N, ed]);
+        let edges = batch.edges_by_receiver();
         let no_edge = diagonal(&nodes.device());
         let mean_edges = (!self.config.attention).then(|| mean_edges(&edges));
-        for (layer, folded) in self.layers.iter().zip(&folded.layers) {
+        for (layer, folded) in self.layers.iter().zip(folded) {
             let residual = match (&folded.attend, &mean_edges) {
-                (Some(attend), _) => {
-                    let weights = self.weights(&nodes, &edges, attend, &no_edge);
-                    self.attended(&nodes, &edges, weights, folded)
-                }
+                (Some(attend), _) => self.attended(&nodes, &edges, attend, &no_edge, folded),
                 (None, Some(mean_edges)) => averaged(&nodes, mean_edges, folded),
                 (None, None) => unreachable!("folding gives attention exactly when the configuration has it"),
             };
@@ -172,14 +162,15 @@ impl GatEncoder {
         (nodes, global)
     }
 
-    /// Returns the softmax weights over the incoming edges of each node, `[B, 16, H, 16]`.
-    fn weights(
+    /// Returns the residual of all nodes, `[B·16, w]`, with the softmax weights over the incoming edges of each.
+    fn attended(
         &self,
         nodes: &Tensor<2>,
         edges: &Tensor<3>,
         [to_node, to_edge]: &[Tensor<2>; 2],
         no_edge: &Tensor<4>,
-    ) -> Tensor<4> {
+        folded: &FoldedLayer,
+    ) -> Tensor<2> {
         let heads = self.config.n_heads;
         let [rows, width] = nodes.dims();
         let ed = edges.dims()[2];
@@ -189,15 +180,9 @@ impl GatEncoder {
         let by_edge = nodes.clone().matmul(to_edge.clone()).reshape([rows, heads, ed]);
         let logits = by_node.matmul(senders.swap_dims(1, 2)).reshape([b, N, heads, N])
             + by_edge.matmul(edges.clone().swap_dims(1, 2)).reshape([b, N, heads, N]);
-        activation::softmax(logits + no_edge.clone(), 3)
-    }
-
-    /// Returns the residual of all nodes, `[B·16, w]`, with these weights for the incoming edges.
-    fn attended(&self, nodes: &Tensor<2>, edges: &Tensor<3>, weights: Tensor<4>, folded: &FoldedLayer) -> Tensor<2> {
-        let heads = self.config.n_heads;
-        let [rows, width] = nodes.dims();
-        let ed = edges.dims()[2];
-        let b = rows / N;
+        // `[B, 16, H, 16]`
+        let weights = activation::softmax(logits + no_edge.clone(), 3);
+        // Reshaped anew: a shared tensor would change the order in which gradients are summed.
         let senders = nodes.clone().reshape([b, N, width]);
         let mean_nodes = weights.clone().reshape([b, N * heads, N]).matmul(senders);
         let mean_edges = weights.reshape([rows, heads, N]).matmul(edges.clone());

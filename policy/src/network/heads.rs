@@ -26,7 +26,7 @@ pub struct MoveTensors {
 
 /// Maps node and global vectors to the action distribution.
 #[derive(Module, Debug)]
-pub struct PolicyHead {
+pub(super) struct PolicyHead {
     input_global: Projection,
     act_loc: Option<Linear>,
     act_scale: Option<Linear>,
@@ -39,14 +39,14 @@ pub struct PolicyHead {
 
 /// Maps global vectors and the block choice to the value.
 #[derive(Module, Debug)]
-pub struct ValueHead {
+pub(super) struct ValueHead {
     input_global: Projection,
     graph_global: Projection,
     mlp: Vec<Linear>,
 }
 
 impl PolicyHead {
-    pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
+    pub(super) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
         let (width, grippers) = (config.width, sizes.n_grippers);
         let init = Initializer::HaikuLinear;
         let gaussian = |builder: &mut Builder<'_>, name| {
@@ -69,7 +69,7 @@ impl PolicyHead {
     ///
     /// # Shapes
     /// nodes `[B·16, w]`, global `[B, w]`, raw globals `[B, gd]` → `[B, G, 16]`
-    pub fn logits(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> Tensor<3> {
+    pub(super) fn logits(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> Tensor<3> {
         let [b, width] = global.dims();
         let grippers = self.block_key.w.dims()[0] - width;
         let own = raw.clone().matmul(self.input_global.w.val());
@@ -83,7 +83,7 @@ impl PolicyHead {
     ///
     /// # Shapes
     /// nodes `[B·16, w]` → `[B, 16, 6]`
-    pub fn moves(&self, nodes: &Tensor<2>) -> Option<MoveTensors> {
+    pub(super) fn moves(&self, nodes: &Tensor<2>) -> Option<MoveTensors> {
         let shape = [nodes.dims()[0] / N, N, MOVE];
         let locs = self.act_loc.as_ref()?.forward(nodes.clone()).reshape(shape);
         let scales = self.scales(self.act_scale.as_ref()?.forward(nodes.clone())).reshape(shape);
@@ -94,7 +94,7 @@ impl PolicyHead {
     ///
     /// # Shapes
     /// nodes `[B·16, w]` → `[B, 16, N_READOUTS]`
-    pub fn readouts(&self, nodes: &Tensor<2>) -> Option<Tensor<3>> {
+    pub(super) fn readouts(&self, nodes: &Tensor<2>) -> Option<Tensor<3>> {
         let rows = nodes.dims()[0];
         let linear = self.proposals.as_ref()?;
         Some(linear.forward(nodes.clone()).reshape([rows / N, N, N_READOUTS]))
@@ -107,7 +107,7 @@ impl PolicyHead {
 }
 
 impl ValueHead {
-    pub(crate) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
+    pub(super) fn build(builder: &mut Builder<'_>, config: &NetworkConfig, sizes: &FeatureSizes) -> Self {
         let (width, grippers) = (config.width, sizes.n_grippers);
         let init = Initializer::HaikuLinear;
         let mut widths = vec![2 * width + grippers * N];
@@ -124,7 +124,7 @@ impl ValueHead {
     ///
     /// # Shapes
     /// global `[B, w]`, raw globals `[B, gd]`, logits `[B, G, 16]` → `[B]`
-    pub fn forward(&self, global: &Tensor<2>, raw: &Tensor<2>, logits: &Tensor<3>) -> Tensor<1> {
+    pub(super) fn forward(&self, global: &Tensor<2>, raw: &Tensor<2>, logits: &Tensor<3>) -> Tensor<1> {
         let choice = activation::softmax(logits.clone().detach(), 2).flatten::<2>(1, 2);
         let own = raw.clone().matmul(self.input_global.w.val());
         let graph = global.clone().matmul(self.graph_global.w.val());

@@ -10,18 +10,18 @@ const LAYER_NORM_EPSILON: f64 = 1e-5;
 
 /// `y = x w + b`.
 #[derive(Module, Debug)]
-pub struct Linear {
+pub(super) struct Linear {
     /// Kernel `[in, out]`.
-    pub w: Param<Tensor<2>>,
+    pub(super) w: Param<Tensor<2>>,
     /// Bias `[out]`.
-    pub b: Param<Tensor<1>>,
+    pub(super) b: Param<Tensor<1>>,
 }
 
 /// `y = x w`.
 #[derive(Module, Debug)]
-pub struct Projection {
+pub(super) struct Projection {
     /// Kernel `[in, out]`.
-    pub w: Param<Tensor<2>>,
+    pub(super) w: Param<Tensor<2>>,
 }
 
 /// Normalizes the last axis to mean 0 and variance 1, then scales and shifts it.
@@ -38,7 +38,7 @@ impl Linear {
     ///
     /// # Shapes
     /// `[rows, in]` → `[rows, out]`
-    pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+    pub(super) fn forward(&self, x: Tensor<2>) -> Tensor<2> {
         module::linear(x, self.w.val(), Some(self.b.val()))
     }
 }

@@ -10,18 +10,19 @@ mod tensors;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
-pub use gat::{FoldedGat, GatEncoder};
-pub use heads::{MoveTensors, PolicyHead, ValueHead};
-pub use layers::{LayerNorm, Linear, Projection};
-pub use resnet::ResnetEncoder;
+pub use heads::MoveTensors;
+pub use layers::LayerNorm;
+pub use tensors::BatchTensors;
 pub(crate) use tensors::listed_index;
-pub use tensors::{BatchTensors, EdgeLayout, dense_edges};
 
 use crate::config::{EncoderConfig, NetworkConfig};
 use crate::features::FeatureSizes;
 use crate::mixture::DrawLogits;
 use crate::parameters::{self, ParameterSpec};
+use gat::{FoldedLayer, GatEncoder};
+use heads::{PolicyHead, ValueHead};
 use layers::Builder;
+use resnet::ResnetEncoder;
 
 /// The actor-critic network of the paper, for both training and inference.
 #[derive(Module, Debug)]
@@ -31,13 +32,11 @@ pub struct Network {
     value: ValueHead,
     #[module(skip)]
     table: Vec<ParameterSpec>,
-    #[module(skip)]
-    layout: EdgeLayout,
 }
 
 /// One of the two encoders.
 #[derive(Module, Debug)]
-pub enum Encoder {
+enum Encoder {
     /// Graph attention, or equal weights.
     Gat(GatEncoder),
     /// The flat baseline.
@@ -69,9 +68,9 @@ impl NetworkOutput {
     }
 }
 
-/// The part of a forward pass that depends only on parameters; valid until they change.
+/// The part of a forward pass that depends only on parameters; valid until they change. The flat encoder has none.
 #[derive(Clone, Debug)]
-pub struct Folded(Option<FoldedGat>);
+pub struct Folded(Vec<FoldedLayer>);
 
 impl Network {
     /// Creates a network with Haiku's initial values; the same seed gives the same values.
@@ -93,7 +92,7 @@ impl Network {
         };
         let head = PolicyHead::build(&mut builder, config, sizes);
         let value = ValueHead::build(&mut builder, config, sizes);
-        Self { encoder, head, value, table: builder.specs, layout: EdgeLayout::of(config) }
+        Self { encoder, head, value, table: builder.specs }
     }
 
     /// Returns the name, shape, and initializer of every parameter, in the order of the flat vector.
@@ -104,11 +103,6 @@ impl Network {
     /// Returns the number of parameters; 1 238 157 with the paper's sizes.
     pub fn n_parameters(&self) -> usize {
         self.table.iter().map(ParameterSpec::len).sum()
-    }
-
-    /// Returns the edge layout that this network needs, for [`BatchTensors::new`].
-    pub fn edge_layout(&self) -> EdgeLayout {
-        self.layout
     }
 
     /// Folds and runs the network as one graph.
@@ -122,8 +116,8 @@ impl Network {
     /// Computes the part that inference shares between batches.
     pub fn fold(&self) -> Folded {
         Folded(match &self.encoder {
-            Encoder::Gat(gat) => Some(gat.fold()),
-            Encoder::Resnet(_) => None,
+            Encoder::Gat(gat) => gat.fold(),
+            Encoder::Resnet(_) => Vec::new(),
         })
     }
 
@@ -133,12 +127,11 @@ impl Network {
     /// As in [`BatchTensors`] and [`NetworkOutput`].
     ///
     /// # Panics
-    /// If `folded` comes from a network with another encoder.
+    /// If `folded` comes from a network with another number of layers.
     pub fn forward_folded(&self, folded: &Folded, batch: &BatchTensors) -> NetworkOutput {
-        let (nodes, global) = match (&self.encoder, &folded.0) {
-            (Encoder::Gat(gat), Some(folded)) => gat.forward(folded, batch),
-            (Encoder::Resnet(resnet), None) => resnet.forward(batch),
-            _ => panic!("folded weights of another encoder"),
+        let (nodes, global) = match &self.encoder {
+            Encoder::Gat(gat) => gat.forward(&folded.0, batch),
+            Encoder::Resnet(resnet) => resnet.forward(batch),
         };
         let logits = self.head.logits(&nodes, &global, &batch.globals);
         let values = self.value.forward(&global, &batch.globals, &logits);

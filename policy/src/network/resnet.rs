@@ -17,7 +17,7 @@ const N: usize = blueprints::N_BLOCKS;
 /// The paper does not say how the output feeds the heads; `to_nodes` and `to_global` replace the graph encoder's
 /// outputs.
 #[derive(Module, Debug)]
-pub struct ResnetEncoder {
+pub(super) struct ResnetEncoder {
     input: Linear,
     blocks: Vec<ResidualBlock>,
     to_nodes: Linear,
@@ -32,7 +32,7 @@ struct ResidualBlock {
 }
 
 impl ResnetEncoder {
-    pub(crate) fn build(builder: &mut Builder<'_>, config: &ResnetConfig, width: usize, sizes: &FeatureSizes) -> Self {
+    pub(super) fn build(builder: &mut Builder<'_>, config: &ResnetConfig, width: usize, sizes: &FeatureSizes) -> Self {
         let init = Initializer::HaikuLinear;
         let hidden = config.hidden;
         let n_in = N * sizes.node + N_EDGES * sizes.edge + sizes.global;
@@ -53,8 +53,8 @@ impl ResnetEncoder {
     /// Encodes a batch.
     ///
     /// # Shapes
-    /// Input as in [`BatchTensors`] with listed edges; output nodes `[B·16, width]` and globals `[B, width]`.
-    pub fn forward(&self, batch: &BatchTensors) -> (Tensor<2>, Tensor<2>) {
+    /// Input as in [`BatchTensors`]; output nodes `[B·16, width]` and globals `[B, width]`.
+    pub(super) fn forward(&self, batch: &BatchTensors) -> (Tensor<2>, Tensor<2>) {
         let b = batch.globals.dims()[0];
         let flat = Tensor::cat(
             vec![batch.nodes.clone().flatten::<2>(1, 2), batch.edges.clone().flatten(1, 2), batch.globals.clone()],

@@ -2,7 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use burn::tensor::Tensor;
 use serde_json::Value;
+
+/// Largest relative error of results in `f32`.
+pub(crate) const TOLERANCE: f64 = 2e-5;
 
 /// Returns the path of `tests/golden/<name>`.
 pub(crate) fn golden_path(name: &str) -> PathBuf {
@@ -24,6 +28,10 @@ pub(crate) fn numbers(value: &Value) -> Vec<f64> {
 
 pub(crate) fn floats(value: &Value) -> Vec<f32> {
     numbers(value).into_iter().map(|x| x as f32).collect()
+}
+
+pub(crate) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().unwrap()
 }
 
 /// The golden files' generator: returns `n` numbers in [−1, 1) for a tensor name and a seed, exact in `f32`.

@@ -9,9 +9,7 @@ use policy::{
     NetworkConfig,
 };
 
-use crate::common::{generate, relative_error};
-
-const TOLERANCE: f64 = 2e-5;
+use crate::common::{TOLERANCE, generate, relative_error};
 
 fn numbers(name: &str, n: usize) -> Vec<f32> {
     generate(name, 7, n).into_iter().map(|x| x as f32).collect()
@@ -40,7 +38,7 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
     // More rows than scenes in the batch, in another order.
     let batch = batch(sizes, n);
     let rows: Vec<usize> = (0..n).rev().chain([0]).collect();
-    let inputs = BatchTensors::new(&batch.select(&rows), network.edge_layout(), &device);
+    let inputs = BatchTensors::new(&batch.select(&rows), &device);
     let expected = network.forward(&inputs);
 
     let layout = NetworkLayout::new(config, &sizes, network.table()).unwrap();
@@ -48,18 +46,16 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
     let mut tape = Tape::default();
     let found = cpu.forward(&batch, &rows, &mut tape).clone();
     assert_eq!(cpu.infer(&batch, &rows, &mut Tape::default()), &found, "{name}: both ways forward");
-    let moves = expected.moves.as_ref();
+    let wanted = Outputs::from(expected.clone());
     let parts = [
-        ("locs", &found.locs, moves.map(|moves| moves.locs.to_data())),
-        ("scales", &found.scales, moves.map(|moves| moves.scales.to_data())),
-        ("logits", &found.logits, Some(expected.logits.to_data())),
-        ("values", &found.values, Some(expected.values.to_data())),
-        ("readouts", &found.readouts, expected.readouts.as_ref().map(|readouts| readouts.to_data())),
+        ("locs", &found.locs, &wanted.locs),
+        ("scales", &found.scales, &wanted.scales),
+        ("logits", &found.logits, &wanted.logits),
+        ("values", &found.values, &wanted.values),
+        ("readouts", &found.readouts, &wanted.readouts),
     ];
-    for (part, found, expected) in parts {
-        assert_eq!(found.is_empty(), expected.is_none(), "{name}: {part}");
-        let Some(expected) = expected else { continue };
-        let error = relative_error(found, &widened(expected.as_slice().unwrap()));
+    for (part, found, wanted) in parts {
+        let error = relative_error(found, &widened(wanted));
         assert!(error < TOLERANCE, "{name}: {part} off by {error:e}");
     }
 
@@ -86,12 +82,9 @@ fn check(name: &str, config: &NetworkConfig, sizes: FeatureSizes, n: usize) {
     let wanted = parameters::flatten_gradients(&network, &mut loss.backward());
     let mut gradient = vec![f32::NAN; 3];
     cpu.backward(&mut tape, &by_output, &mut gradient);
-    let mut at = 0;
-    for spec in network.table() {
-        let span = at..at + spec.len();
+    for (spec, span) in parameters::spans(network.table()) {
         let error = relative_error(&gradient[span.clone()], &widened(&wanted[span]));
         assert!(error < TOLERANCE, "{name}: the gradient of {} is off by {error:e}", spec.name);
-        at += spec.len();
     }
 }
 

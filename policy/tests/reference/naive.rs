@@ -6,11 +6,10 @@
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-use crate::common::{generate, relative_error};
-use burn::tensor::{Device, Tensor, TensorData};
-use policy::cpu::{CpuNetwork, NetworkLayout, Tape};
+use crate::common::{TOLERANCE, generate, relative_error};
+use burn::tensor::Device;
+use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::features::N_EDGES;
-use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters;
 use policy::{
     BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveHead, Network, NetworkConfig,
@@ -175,43 +174,32 @@ fn check(gat: GatConfig, n_grippers: usize) {
     let network = Network::init(&config, &sizes, 0, &device);
     let flat: Vec<f32> = generate("naive", 7, network.n_parameters()).iter().map(|x| (0.6 * x) as f32).collect();
     let network = parameters::load(network, &flat).unwrap();
-    let mut at = 0;
     let mut named = BTreeMap::new();
-    for spec in network.table() {
-        let values = flat[at..at + spec.len()].iter().map(|x| f64::from(*x)).collect();
-        at += spec.len();
+    for (spec, span) in parameters::spans(network.table()) {
+        let values = flat[span].iter().map(|x| f64::from(*x)).collect();
         named.insert(spec.name.clone(), Matrix { values, n_in: spec.shape[0], n_out: *spec.shape.last().unwrap() });
     }
     let oracle = Oracle { parameters: named, gat, grippers: n_grippers, value_layers: 3, seen: RefCell::default() };
 
     let input = |name: &str, n: usize| -> Vec<f32> { generate(name, 3, n).iter().map(|x| *x as f32).collect() };
     let (nodes, edges, raw) = (input("n", N * sizes.node), input("e", N_EDGES * sizes.edge), input("g", sizes.global));
-    assert_eq!(network.edge_layout(), EdgeLayout::Dense);
-    let batch = BatchTensors {
-        nodes: Tensor::from_data(TensorData::new(nodes.clone(), [1, N, sizes.node]), &device),
-        edges: Tensor::from_data(TensorData::new(dense_edges(&edges, 1, sizes.edge), [1, N * N, sizes.edge]), &device),
-        globals: Tensor::from_data(TensorData::new(raw.clone(), [1, sizes.global]), &device),
-    };
-    let output = network.forward(&batch);
+    let mut batch = FeatureBatch::new(&FeatureConfig::paper());
+    (batch.n, batch.sizes) = (1, sizes);
+    (batch.nodes, batch.edges, batch.globals) = (nodes.clone(), edges.clone(), raw.clone());
+    let output = network.forward(&BatchTensors::new(&batch, &device));
 
     let wide = |x: &[f32]| -> Vec<f64> { x.iter().map(|v| f64::from(*v)).collect() };
     let pairs = (0..N).flat_map(|s| (0..N).filter(move |r| *r != s).map(move |r| (s, r)));
     let listed = pairs.zip(edges.chunks(sizes.edge).map(wide)).collect();
     let rows: Vec<_> = nodes.chunks(sizes.node).map(wide).collect();
     let expected = oracle.run(&rows, &listed, &wide(&raw));
-    let ours = [
-        output.gaussians().locs.to_data().try_to_vec::<f32>().unwrap(),
-        output.gaussians().scales.to_data().try_to_vec().unwrap(),
-        output.logits.into_data().try_to_vec().unwrap(),
-        output.values.into_data().try_to_vec().unwrap(),
-    ];
+    let Outputs { locs, scales, logits, values, .. } = output.into();
+    let ours = [locs, scales, logits, values];
     for (name, (ours, expected)) in ["locs", "scales", "logits", "values"].iter().zip(ours.iter().zip(&expected)) {
         let error = relative_error(ours, expected);
-        assert!(error <= 2e-5, "{name} is off by {error:e} with {gat:?} and {n_grippers} grippers");
+        assert!(error <= TOLERANCE, "{name} is off by {error:e} with {gat:?} and {n_grippers} grippers");
     }
     let layout = NetworkLayout::new(&config, &sizes, network.table()).expect("a graph network");
-    let mut batch = FeatureBatch::new(&FeatureConfig::paper());
-    (batch.n, batch.sizes, batch.nodes, batch.edges, batch.globals) = (1, sizes, nodes, edges, raw);
     let mut tape = Tape::default();
     CpuNetwork::new(&layout, &flat, false).unwrap().forward(&batch, &[0], &mut tape);
     assert_eq!(tape.attention().len(), gat.n_layers);
@@ -229,7 +217,7 @@ fn check(gat: GatConfig, n_grippers: usize) {
         let rows = (0..N).flat_map(|r| (0..gat.n_heads).map(move |h| (format!("layer{l}"), r, h)));
         let expected: Vec<f64> = rows.flat_map(|row| oracle.seen.borrow()[&row]).collect();
         let error = relative_error(&ours, &expected);
-        assert!(error <= 2e-5, "attention of layer {l} is off by {error:e} with {gat:?}");
+        assert!(error <= TOLERANCE, "attention of layer {l} is off by {error:e} with {gat:?}");
         let is_self = |i: usize| i / (gat.n_heads * N) == i % N;
         assert!((0..ours.len()).filter(|i| is_self(*i)).all(|i| ours[i] == 0.0));
     }

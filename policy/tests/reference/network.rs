@@ -8,19 +8,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::common::{generate, golden_path, numbers, read_json, relative_error};
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use crate::common::{TOLERANCE, generate, golden_path, numbers, read_json, relative_error, values};
+use burn::tensor::{Device, Gradients, Tensor};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::features::N_EDGES;
-use policy::network::{EdgeLayout, dense_edges};
 use policy::parameters::{self, ParameterSpec};
 use policy::{
     BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveTensors, Network,
     NetworkConfig, NetworkOutput, ResnetConfig,
 };
 use serde_json::Value;
-
-const TOLERANCE: f64 = 2e-5;
 
 struct Golden {
     json: Value,
@@ -88,8 +85,7 @@ impl Golden {
         values
     }
 
-    /// Returns nodes, listed edges, and globals.
-    fn features(&self) -> [Vec<f32>; 3] {
+    fn features(&self) -> FeatureBatch {
         let FeatureSizes { node, edge, global, .. } = self.sizes;
         let b = self.batch;
         let make = |name: &str, n: usize| -> Vec<f32> {
@@ -105,61 +101,22 @@ impl Golden {
                 one_hot[(3 * item + 5 * gripper + 1) % 16] = 1.0;
             }
         }
-        let nodes = make("in.nodes", b * 16 * node);
-        let listed = make("in.edges", b * N_EDGES * edge);
-        for (name, values) in [("nodes", &nodes), ("edges", &listed), ("globals", &globals)] {
+        let mut batch = FeatureBatch::new(&FeatureConfig::paper());
+        (batch.n, batch.sizes) = (b, self.sizes);
+        batch.nodes = make("in.nodes", b * 16 * node);
+        batch.edges = make("in.edges", b * N_EDGES * edge);
+        batch.globals = globals;
+        for (name, values) in [("nodes", &batch.nodes), ("edges", &batch.edges), ("globals", &batch.globals)] {
             for (value, expected) in values.iter().zip(numbers(&self.json["input_check"][name])) {
                 assert_eq!(f64::from(*value), expected, "generator at in.{name}");
             }
         }
-        [nodes, listed, globals]
+        batch
     }
 
-    fn inputs(&self, layout: EdgeLayout, device: &Device) -> BatchTensors {
-        let FeatureSizes { node, edge, global, .. } = self.sizes;
-        let (b, [nodes, listed, globals]) = (self.batch, self.features());
-        let (edges, rows) = match layout {
-            EdgeLayout::Dense => (dense_edges(&listed, b, edge), 256),
-            EdgeLayout::Listed => (listed, N_EDGES),
-        };
-        BatchTensors {
-            nodes: Tensor::from_data(TensorData::new(nodes, [b, 16, node]), device).require_grad(),
-            edges: Tensor::from_data(TensorData::new(edges, [b, rows, edge]), device).require_grad(),
-            globals: Tensor::from_data(TensorData::new(globals, [b, global]), device).require_grad(),
-        }
-    }
-
-    /// Returns the gradients of the inputs in the order of the golden file.
-    fn input_gradients(
-        &self,
-        inputs: &BatchTensors,
-        layout: EdgeLayout,
-        gradients: &mut Gradients,
-    ) -> Vec<(String, Vec<f32>)> {
-        let edges = gradient(&inputs.edges, gradients);
-        let edges = match layout {
-            EdgeLayout::Dense => self.listed(&edges),
-            EdgeLayout::Listed => edges,
-        };
-        vec![
-            ("in.nodes".into(), gradient(&inputs.nodes, gradients)),
-            ("in.edges".into(), edges),
-            ("in.globals".into(), gradient(&inputs.globals, gradients)),
-        ]
-    }
-
-    /// Converts receiver-major 16×16 to the sender-major list.
-    fn listed(&self, dense: &[f32]) -> Vec<f32> {
-        let ed = self.sizes.edge;
-        let mut listed = Vec::new();
-        for scene in dense.chunks_exact(256 * ed) {
-            for s in 0..16 {
-                for r in (0..16).filter(|r| *r != s) {
-                    listed.extend_from_slice(&scene[(r * 16 + s) * ed..(r * 16 + s + 1) * ed]);
-                }
-            }
-        }
-        listed
+    fn inputs(&self, device: &Device) -> BatchTensors {
+        let BatchTensors { nodes, edges, globals } = BatchTensors::new(&self.features(), device);
+        BatchTensors { nodes: nodes.require_grad(), edges: edges.require_grad(), globals: globals.require_grad() }
     }
 
     fn check_outputs(&self, output: &Outputs) {
@@ -182,17 +139,17 @@ impl Golden {
     fn check_gradients(&self, network: &Network, expected: &Value, inputs: &BatchTensors, loss: &Tensor<1>) {
         let mut gradients = loss.backward();
         let flat = parameters::flatten_gradients(network, &mut gradients);
-        let mut ours = self.input_gradients(inputs, network.edge_layout(), &mut gradients);
-        let mut at = 0;
-        for spec in network.table() {
-            ours.push((spec.name.clone(), flat[at..at + spec.len()].to_vec()));
-            at += spec.len();
-        }
+        let mut ours = vec![
+            ("in.nodes", gradient(&inputs.nodes, &mut gradients)),
+            ("in.edges", gradient(&inputs.edges, &mut gradients)),
+            ("in.globals", gradient(&inputs.globals, &mut gradients)),
+        ];
+        ours.extend(parameters::spans(network.table()).map(|(spec, span)| (spec.name.as_str(), flat[span].to_vec())));
         // The value-only gradients are given only for parameters.
         ours.retain(|(name, _)| !name.starts_with("in.") || !expected[name].is_null());
         assert_eq!(ours.len(), expected.as_object().unwrap().len());
         for (name, ours) in ours {
-            self.check_gradient(&name, &ours, &expected[&name]);
+            self.check_gradient(name, &ours, &expected[name]);
         }
     }
 
@@ -220,13 +177,9 @@ impl Golden {
     }
 }
 
-fn values<const D: usize>(tensor: &Tensor<D>) -> Vec<f32> {
-    tensor.to_data().try_to_vec().unwrap()
-}
-
 fn gradient<const D: usize>(tensor: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
     match tensor.grad_remove(gradients) {
-        Some(gradient) => values(&gradient),
+        Some(gradient) => values(gradient),
         None => vec![0.0; tensor.shape().num_elements()],
     }
 }
@@ -246,15 +199,9 @@ fn check_on(device: &Device, path: &Path, tolerance: f64) {
     let network = parameters::load(network, &parameters).unwrap();
     assert_eq!(parameters::flatten(&network), parameters, "what goes in comes out");
 
-    let inputs = golden.inputs(network.edge_layout(), device);
+    let inputs = golden.inputs(device);
     let output = network.forward(&inputs);
-    golden.check_outputs(&Outputs {
-        locs: values(&output.gaussians().locs),
-        scales: values(&output.gaussians().scales),
-        logits: values(&output.logits),
-        values: values(&output.values),
-        readouts: Vec::new(),
-    });
+    golden.check_outputs(&output.clone().into());
     if *device == Device::flex().autodiff() {
         check_cpu(&golden, network.table(), &parameters);
     }
@@ -265,7 +212,7 @@ fn check_on(device: &Device, path: &Path, tolerance: f64) {
 
     let value_only = &golden.json["grads_value_only"]["grads"];
     if !value_only.is_null() {
-        let inputs = golden.inputs(network.edge_layout(), device);
+        let inputs = golden.inputs(device);
         let loss = network.forward(&inputs).values.sum();
         golden.check_gradients(&network, value_only, &inputs, &loss);
     }
@@ -275,12 +222,9 @@ fn check_on(device: &Device, path: &Path, tolerance: f64) {
 fn check_cpu(golden: &Golden, table: &[ParameterSpec], parameters: &[f32]) {
     let Some(layout) = NetworkLayout::new(&golden.config, &golden.sizes, table) else { return };
     let network = CpuNetwork::new(&layout, parameters, true).unwrap();
-    let mut batch = FeatureBatch::new(&FeatureConfig::paper());
-    (batch.n, batch.sizes) = (golden.batch, golden.sizes);
-    [batch.nodes, batch.edges, batch.globals] = golden.features();
     let rows: Vec<usize> = (0..golden.batch).collect();
     let mut tape = Tape::default();
-    let output = network.forward(&batch, &rows, &mut tape).clone();
+    let output = network.forward(&golden.features(), &rows, &mut tape).clone();
     golden.check_outputs(&output);
     if let Some(expected) = golden.json["info"]["attn_mean_of_max_weight"].as_array() {
         let layers = tape.attention();
@@ -313,10 +257,8 @@ fn check_cpu(golden: &Golden, table: &[ParameterSpec], parameters: &[f32]) {
     let mut gradient = Vec::new();
     for (by_output, expected) in cases.into_iter().filter(|(_, expected)| !expected.is_null()) {
         network.backward(&mut tape, &by_output, &mut gradient);
-        let mut at = 0;
-        for spec in table {
-            golden.check_gradient(&spec.name, &gradient[at..at + spec.len()], &expected[&spec.name]);
-            at += spec.len();
+        for (spec, span) in parameters::spans(table) {
+            golden.check_gradient(&spec.name, &gradient[span], &expected[&spec.name]);
         }
     }
 }

@@ -1,15 +1,9 @@
 //! LayerNorm at small variances, softplus, and log-softmax against values and gradients computed in `f64`.
 
-use crate::common::{floats, generate, golden_path, numbers, read_json, relative_error};
+use crate::common::{TOLERANCE, floats, generate, golden_path, numbers, read_json, relative_error, values};
 use burn::module::Param;
 use burn::tensor::{Device, Tensor, TensorData, activation};
 use policy::network::LayerNorm;
-
-const TOLERANCE: f64 = 2e-5;
-
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().unwrap()
-}
 
 #[test]
 fn generator_gives_the_example() {

@@ -31,13 +31,16 @@ pub fn choice<const N: usize>(lines: &[&str], default: &str, variants: [(&str, S
 /// Returns the schema of a single value with this default; `rule` is what is expected of it beyond its range.
 pub fn value<T: DeserializeOwned + Serialize>(lines: &[&str], default: &T, rule: Option<&str>) -> Schema {
     let mut schema = described(of::<T>(), lines);
-    // By way of text, so that an f32 such as 0.1 does not become 0.10000000149011612.
-    let text = serde_json::to_string(default).unwrap_or_default();
-    schema["default"] = serde_json::from_str(&text).unwrap_or_default();
+    schema["default"] = json_of(default).unwrap_or_default();
     if let Some(rule) = rule {
         schema["$comment"] = rule.into();
     }
     schema
+}
+
+/// Returns the JSON form of a value, by way of text, so that an f32 such as 0.1 does not become 0.10000000149011612.
+pub(crate) fn json_of(value: &impl Serialize) -> serde_json::Result<Value> {
+    serde_json::from_str(&serde_json::to_string(value)?)
 }
 
 /// Limits the numbers in `schema` to a range.

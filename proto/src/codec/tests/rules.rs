@@ -237,11 +237,7 @@ fn invalid_weights_are_refused() {
 
 #[test]
 fn an_unknown_behavior_policy_is_refused() {
-    let bytes = encode_trajectory(&samples::of_expert("actor-1", 1));
-    let mut trajectory = wire::Trajectory::decode(bytes.as_slice()).unwrap();
-    trajectory.behavior_policy = 3;
-    let error = decode_trajectory(&trajectory.encode_to_vec()).unwrap_err().to_string();
-    assert_eq!(error, "behavior_policy is 3, expected sampled, greedy or expert");
+    check_wire(|t| t.behavior_policy = 3, "behavior_policy is 3, expected sampled, greedy or expert");
 }
 
 #[test]
