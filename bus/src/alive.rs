@@ -104,7 +104,7 @@ impl Bus {
     pub async fn alive(&self, role: Role) -> Result<AliveWatch, BusError> {
         let (sender, names) = watch::channel(BTreeSet::new());
         let prefix = keys::live(role, "");
-        let counters = self.counters.clone();
+        let counts = self.counts.clone();
         let subscriber = self
             .session
             .liveliness()
@@ -113,12 +113,12 @@ impl Bus {
             .callback(move |sample| {
                 let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| keys::is_valid_run(name));
                 let Some(name) = name else {
-                    counters.tokens_invalid.add_one();
+                    counts.lock().tokens_invalid_total += 1;
                     return;
                 };
                 let is_put = sample.kind() == SampleKind::Put;
                 if is_put && sender.borrow().len() >= MAX_NAMES {
-                    counters.tokens_invalid.add_one();
+                    counts.lock().tokens_invalid_total += 1;
                     return;
                 }
                 sender
