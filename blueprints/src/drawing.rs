@@ -10,6 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::checks::{Check, check_placements, check_text};
 use crate::error::BlueprintError;
 use crate::format::MAX_COORDINATE;
+use crate::placement::move_to_origin;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
@@ -117,15 +118,11 @@ impl Drawing {
     /// If the text is not a valid blueprint.
     pub fn from_toml(text: &str) -> Result<Self, BlueprintError> {
         let blueprint = check_text("drawing.toml", text).blueprint.map_err(|error| error.error)?;
-        let inventory = Inventory::standard();
-        let block = |placement: &Placement| {
-            let size = placement.size_cells(inventory);
-            DrawnBlock {
-                type_name: inventory.block_type(placement.block).name.clone(),
-                at: std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2),
-                rotation: placement.rotation,
-                is_free: false,
-            }
+        let block = |placement: &Placement| DrawnBlock {
+            type_name: Inventory::standard().block_type(placement.block).name.clone(),
+            at: placement.lowest_cell(),
+            rotation: placement.rotation,
+            is_free: false,
         };
         let blocks = blueprint.placements().iter().map(block).collect();
         Ok(Self { title: blueprint.title().to_owned(), blocks })
@@ -179,7 +176,6 @@ impl Drawing {
     /// Places the blocks with the lowest corner at the origin. The k-th block of a type is the k-th in the inventory.
     fn placements(&self) -> Result<Vec<Placement>, BlueprintError> {
         let inventory = Inventory::standard();
-        let lowest: [i32; 3] = std::array::from_fn(|k| self.blocks.iter().map(|b| b.at[k]).min().unwrap_or(0));
         let mut n_used: BTreeMap<&str, usize> = BTreeMap::new();
         let mut placements = Vec::with_capacity(self.blocks.len());
         for drawn in &self.blocks {
@@ -192,9 +188,10 @@ impl Drawing {
             })?;
             *k += 1;
             let size = drawn.rotation.apply(inventory.cells(block).map(i32::from)).map(i32::abs);
-            let center_half_units = std::array::from_fn(|k| 2 * (drawn.at[k] - lowest[k]) + size[k]);
+            let center_half_units = std::array::from_fn(|k| 2 * drawn.at[k] + size[k]);
             placements.push(Placement { block, center_half_units, rotation: drawn.rotation });
         }
+        move_to_origin(&mut placements);
         Ok(placements)
     }
 
@@ -221,7 +218,7 @@ impl Drawing {
     fn overlaps(&self, placements: &[Placement], found: &mut Findings) {
         let mut filled: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
         for (i, placement) in placements.iter().enumerate() {
-            for cell in placement.filled_cells(Inventory::standard()) {
+            for cell in placement.filled_cells() {
                 filled.entry(cell).or_default().push(i);
             }
         }
@@ -265,7 +262,7 @@ impl Drawing {
     }
 
     fn topples(&self, placements: &[Placement]) -> Option<Problem> {
-        let margin_u = support_margin_u(placements, Inventory::standard());
+        let margin_u = support_margin_u(placements);
         let text = "the structure tips over: too little of its lowest layer is under its center of mass".to_owned();
         (margin_u < MIN_SUPPORT_MARGIN_U).then_some(Problem { check: Check::Stands, blocks: Vec::new(), text })
     }

@@ -23,6 +23,7 @@ use lru::LruCache;
 
 use crate::checks::check_placements;
 use crate::error::BlueprintError;
+use crate::placement::extent_u;
 use crate::{Blueprint, BlueprintId, Split};
 use dice::Dice;
 pub use style::{InvalidStyle, Style};
@@ -151,10 +152,8 @@ impl Request {
 /// [`GenerateError::Exhausted`] for the rare request without a structure.
 pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
     let id = request.id()?;
-    let (found, effort) = search::search(request.style, request.n_blocks, &mut request.dice());
-    let Some(found) = found else {
-        return Err(GenerateError::Exhausted { id, n_draws: effort.n_draws });
-    };
+    let found = search::search(request.style, request.n_blocks, &mut request.dice())
+        .map_err(|n_draws| GenerateError::Exhausted { id: id.clone(), n_draws })?;
     let title = title(&found, request.style);
     check_placements(id.clone(), Split::Train, title, &found.placements)
         .map_err(|error| GenerateError::Unsound { id, error })
@@ -224,10 +223,9 @@ pub fn generate_many(
 /// Returns a title with the shape, the number of blocks, and the characteristic size.
 fn title(found: &search::Found, style: Style) -> String {
     let n_blocks = found.placements.len();
+    let [x, y, z] = extent_u(&found.placements);
     match style {
-        Style::Longest => {
-            format!("{} of {n_blocks} blocks, {} u long", found.words, found.extent(0).max(found.extent(1)))
-        }
-        _ => format!("{} of {n_blocks} blocks, {} u high", found.words, found.extent(2)),
+        Style::Longest => format!("{} of {n_blocks} blocks, {} u long", found.words, x.max(y)),
+        _ => format!("{} of {n_blocks} blocks, {z} u high", found.words),
     }
 }

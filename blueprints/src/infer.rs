@@ -137,12 +137,8 @@ impl FoundTurn {
 
 /// Returns completions of a draft with assigned blocks, best first: those that hold together and stand, or else one
 /// that does not, so that the checks can report what is wrong with it.
-pub(crate) fn completions(
-    draft: &Draft,
-    assigned: &[BlockIdx],
-    inventory: &Inventory,
-) -> Result<Vec<Completed>, BlueprintError> {
-    let search = Search::new(draft, assigned, inventory)?;
+pub(crate) fn completions(draft: &Draft, assigned: &[BlockIdx]) -> Result<Vec<Completed>, BlueprintError> {
+    let search = Search::new(draft, assigned)?;
     let turns: Option<Vec<CubeRotation>> = draft.blocks.iter().map(|block| block.turn).collect();
     if let Some(turns) = turns {
         return Ok(vec![Completed { found: vec![None; turns.len()], turns }]);
@@ -152,8 +148,8 @@ pub(crate) fn completions(
     let holds_together = drawings.iter().any(|drawing| drawing.fits);
     drawings.retain(|drawing| drawing.fits == holds_together);
     let stands = |drawing: &Drawing| {
-        let placements = draft.place(assigned, &drawing.turns, inventory);
-        support_margin_u(&placements, inventory) >= MIN_SUPPORT_MARGIN_U
+        let placements = draft.place(assigned, &drawing.turns);
+        support_margin_u(&placements) >= MIN_SUPPORT_MARGIN_U
     };
     let stands: Vec<bool> = drawings.iter().map(|drawing| holds_together && stands(drawing)).collect();
     let ways = Ways::new(&search, &drawings, &stands, is_cut);
@@ -243,7 +239,8 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(draft: &'a Draft, assigned: &[BlockIdx], inventory: &Inventory) -> Result<Self, BlueprintError> {
+    fn new(draft: &'a Draft, assigned: &[BlockIdx]) -> Result<Self, BlueprintError> {
+        let inventory = Inventory::standard();
         let own: Vec<Cell> = assigned.iter().map(|&idx| inventory.cells(idx).map(i32::from)).collect();
         let mut options = Vec::with_capacity(own.len());
         for ((block, &own), &idx) in draft.blocks.iter().zip(&own).zip(assigned) {

@@ -16,7 +16,7 @@ impl Blueprint {
     /// of every type, as every blueprint from a file does. After [`permuted`](Self::permuted), the text parses as the
     /// same structure on the first blocks.
     pub fn to_toml(&self, provenance: &str) -> String {
-        self.to_toml_with(&self.block_names(Inventory::standard()), provenance)
+        self.to_toml_with(&self.block_names(), provenance)
     }
 
     /// Like [`to_toml`](Self::to_toml), with other block names, in the order of the placements.
@@ -31,8 +31,7 @@ impl Blueprint {
         }
         text.push_str("up = \"+z\"\n\nblocks = [\n");
         for (name, placement) in names.iter().zip(self.placements()) {
-            let size = placement.size_cells(inventory);
-            let at: [i32; 3] = std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2);
+            let at = placement.lowest_cell();
             let (type_name, axes) = (&inventory.block_type(placement.block).name, placement.rotation.axes());
             let name = format!("{name},");
             let _ = writeln!(
@@ -44,9 +43,8 @@ impl Blueprint {
         text.push_str("]\n\nconnections = [\n");
         let name = |block| &names[self.placements().iter().take_while(|p| p.block != block).count()];
         for link in self.links() {
-            let magnet = |block, k: usize| MagnetName::of(inventory, block, &inventory.magnets(block)[k]);
             let pairs: Vec<String> = (inventory.magnet_pairs(link.a, link.b, link.relative).into_iter())
-                .map(|(p, q)| format!("\"{} {}\"", magnet(link.a, p), magnet(link.b, q)))
+                .map(|(p, q)| format!("\"{} {}\"", MagnetName::of(link.a, p), MagnetName::of(link.b, q)))
                 .collect();
             let _ = write!(text, "    {{ a = {}, b = {}, magnets = [", name(link.a), name(link.b));
             match &pairs[..] {
@@ -64,7 +62,8 @@ impl Blueprint {
     }
 
     /// Returns a name for each placement: the name of its type, numbered from 1 if the type occurs more than once.
-    fn block_names(&self, inventory: &Inventory) -> Vec<String> {
+    fn block_names(&self) -> Vec<String> {
+        let inventory = Inventory::standard();
         let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
         let word = |name: &str| NAMES.iter().find(|(of, _)| *of == name).map_or(name, |(_, word)| word).to_owned();
         (0..types.len())

@@ -74,8 +74,8 @@ fn builtin_files_pass_every_check() {
 fn builtin_blueprints_keep_the_invariants() {
     for blueprint in Catalog::builtin().iter() {
         check_invariants(blueprint);
-        assert!(support_margin_u(blueprint.placements(), Inventory::standard()) >= MIN_SUPPORT_MARGIN_U);
-        let lowest = blueprint.placements().iter().flat_map(|p| p.filled_cells(Inventory::standard()));
+        assert!(support_margin_u(blueprint.placements()) >= MIN_SUPPORT_MARGIN_U);
+        let lowest = blueprint.placements().iter().flat_map(|p| p.filled_cells());
         assert_eq!(lowest.map(|cell| cell[2]).min(), Some(0));
     }
 }
@@ -107,8 +107,8 @@ fn check_invariants(blueprint: &Blueprint) {
             let link = blueprint.link(b.block, a.block);
             assert_eq!(link.map_or(0, |link| usize::from(link.n_magnet_pairs)), n_pairs);
             assert!(link.is_none_or(|link| link.relative == relative && (link.a, link.b) == (a.block, b.block)));
-            let cells = a.filled_cells(inventory);
-            assert!(b.filled_cells(inventory).iter().all(|cell| !cells.contains(cell)));
+            let cells = a.filled_cells();
+            assert!(b.filled_cells().iter().all(|cell| !cells.contains(cell)));
         }
     }
 }

@@ -17,7 +17,7 @@ const N_COMBINATIONS: usize = 8;
 pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRotation> {
     let inventory = Inventory::standard();
     let mut turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
-    let pieces = pieces(placements, inventory);
+    let pieces = pieces(placements);
     let mut signs = [0, 1, 2].map(|k| turns.iter().map(|turn| signs_of(*turn)[k]).collect::<Vec<i32>>());
     let mut settled = [(); 3].map(|()| vec![false; placements.len()]);
     // Iterate backward, so that the first of two conflicting blocks wins.
@@ -59,9 +59,9 @@ fn signs_of(turn: CubeRotation) -> [i32; 3] {
 }
 
 /// Returns, for each axis and block, the first block of its piece.
-fn pieces(placements: &[Placement], inventory: &Inventory) -> [Vec<usize>; 3] {
+fn pieces(placements: &[Placement]) -> [Vec<usize>; 3] {
     let cells = placements.iter().enumerate();
-    let cells = cells.flat_map(|(i, p)| p.filled_cells(inventory).into_iter().map(move |cell| (cell, i)));
+    let cells = cells.flat_map(|(i, p)| p.filled_cells().into_iter().map(move |cell| (cell, i)));
     let filled: BTreeMap<[i32; 3], usize> = cells.collect();
     [0, 1, 2].map(|axis| {
         let mut piece: Vec<usize> = (0..placements.len()).collect();
