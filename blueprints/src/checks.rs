@@ -15,6 +15,7 @@ use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::infer::{self, Completed};
 pub use crate::infer::{FoundTurn, WayReason};
+use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
@@ -433,18 +434,10 @@ impl<'a> Structure<'a> {
     }
 
     fn connected(&self) -> Result<(), BlueprintError> {
-        let mut reached = BTreeSet::from([0]);
-        let mut frontier = vec![0];
-        while let Some(at) = frontier.pop() {
-            for &(i, j, ..) in &self.attracting {
-                let next = if i == at { j } else { i };
-                if (i == at || j == at) && reached.insert(next) {
-                    frontier.push(next);
-                }
-            }
-        }
-        (0..self.placements.len())
-            .find(|i| !reached.contains(i))
+        let pieces = pieces(self.placements.len(), self.joints.iter().map(|joint| (joint.a, joint.b)));
+        pieces
+            .iter()
+            .position(|&piece| piece != 0)
             .map_or(Ok(()), |i| Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) }))
     }
 

@@ -10,11 +10,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::checks::{Check, check_placements, check_text};
 use crate::error::BlueprintError;
 use crate::format::MAX_COORDINATE;
+use crate::pieces::pieces;
 use crate::placement::move_to_origin;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
+pub use crate::writer::word;
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
-    RelativePlacement, Split, writer,
+    RelativePlacement, Split,
 };
 
 /// Maximum number of characters in a title; the rest is cut off.
@@ -104,11 +106,6 @@ impl DrawnBlock {
     pub fn axes(&self) -> String {
         self.rotation.axes()
     }
-}
-
-/// Returns the everyday word for a type of block, for example `cube`.
-pub fn word(type_name: &str) -> &str {
-    writer::NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
 }
 
 impl Drawing {
@@ -247,11 +244,7 @@ impl Drawing {
 
     /// Names the blocks outside the largest piece.
     fn loose(&self, found: &mut Findings) {
-        let mut piece: Vec<usize> = (0..self.blocks.len()).collect();
-        for Connection { a, b, .. } in &found.connections {
-            let (low, high) = (piece[*a].min(piece[*b]), piece[*a].max(piece[*b]));
-            piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
-        }
+        let piece = pieces(self.blocks.len(), found.connections.iter().map(|connection| (connection.a, connection.b)));
         let size = |of: usize| piece.iter().filter(|&&p| p == of).count();
         let Some(largest) = piece.iter().copied().max_by_key(|&p| (size(p), std::cmp::Reverse(p))) else { return };
         let loose: Vec<usize> = (0..piece.len()).filter(|&i| piece[i] != largest).collect();

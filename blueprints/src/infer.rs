@@ -17,6 +17,8 @@ use std::fmt;
 
 use crate::error::BlueprintError;
 use crate::format::Draft;
+use crate::lattice::is_odd;
+use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::{BlockIdx, CubeRotation, Inventory};
 use poles::Parities;
@@ -351,23 +353,22 @@ impl<'a> Search<'a> {
         for (i, block) in self.draft.blocks.iter().enumerate() {
             if let Some(turn) = block.turn {
                 for axis in 0..3 {
-                    fits &= parities.add(unknown(i, axis), sign(turn, axis) < 0);
+                    fits &= parities.add(unknown(i, axis), turn.signs()[axis] < 0);
                 }
-            } else if let Some(is_odd) = parity(self.own[i], sizes[i]) {
+            } else if let Some(is_odd) = is_odd(self.own[i], sizes[i]) {
                 fits &= parities.add((0..3).map(|axis| unknown(i, axis)).sum(), is_odd);
             }
         }
-        let mut piece: Vec<usize> = (0..n).collect();
+        let mut touching = Vec::new();
         for i in 0..n {
             for j in 0..i {
                 if let Contact::Along { axis, .. } = self.contact(i, sizes[i], j, sizes[j]) {
                     fits &= parities.add(unknown(i, axis) | unknown(j, axis), false);
-                    let (low, high) = (piece[i].min(piece[j]), piece[i].max(piece[j]));
-                    piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
+                    touching.push((i, j));
                 }
             }
         }
-        fits &= piece.iter().all(|&p| p == 0);
+        fits &= pieces(n, touching).iter().all(|&piece| piece == 0);
         let forced = parities.clone();
         for i in (0..n).filter(|&i| self.draft.blocks[i].turn.is_none()) {
             // If possible, point the block's own z up, as people draw blocks and as they lie around.
@@ -381,7 +382,7 @@ impl<'a> Search<'a> {
         let turn = |i: usize| {
             let can_be = |turn: &CubeRotation| {
                 turn.apply(self.own[i]).map(i32::abs) == sizes[i]
-                    && (0..3).all(|axis| sign(*turn, axis) == sign_of(i, axis))
+                    && (0..3).all(|axis| turn.signs()[axis] == sign_of(i, axis))
             };
             let is_upright = |turn: &CubeRotation| turn.matrix()[2][2] == 1;
             let fitting = || CubeRotation::all().filter(can_be);
@@ -410,19 +411,6 @@ enum Contact {
 fn long_axis(size: Cell) -> Option<usize> {
     let mut long = (0..3).filter(|&k| size[k] > 1);
     long.next().filter(|_| long.next().is_none())
-}
-
-/// Returns the sign of the magnets on the face that points along `axis` in the drawing.
-fn sign(turn: CubeRotation, axis: usize) -> i32 {
-    turn.matrix()[axis].iter().sum()
-}
-
-/// Returns whether a block with three different sides lies in an odd permutation of its axes; `None` if sides are
-/// equal.
-fn parity(own: Cell, size: Cell) -> Option<bool> {
-    let is_distinct = own[0] != own[1] && own[1] != own[2] && own[0] != own[2];
-    // The three cyclic permutations are the even ones.
-    is_distinct.then(|| !(0..3).any(|by| (0..3).all(|k| size[k] == own[(k + by) % 3])))
 }
 
 #[cfg(test)]

@@ -22,6 +22,7 @@ mod infer;
 pub mod inventory;
 pub mod lattice;
 pub mod outside;
+mod pieces;
 pub mod placement;
 pub mod stance;
 pub mod strength;

@@ -6,8 +6,13 @@ use crate::format::MagnetName;
 use crate::{Blueprint, Inventory};
 
 /// Block names in written files, by type name; other types use the type name.
-pub(crate) const NAMES: [(&str, &str); 6] =
+const NAMES: [(&str, &str); 6] =
     [("1x1x1", "cube"), ("2x1x1", "brick"), ("3x1x1", "bar"), ("4x1x1", "beam"), ("2x2x1", "tile"), ("3x2x1", "slab")];
+
+/// Returns the everyday word for a type of block, for example `cube`.
+pub fn word(type_name: &str) -> &str {
+    NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
+}
 
 impl Blueprint {
     /// Returns the text of the blueprint's file; `provenance` states the origin of the structure.
@@ -65,11 +70,14 @@ impl Blueprint {
     fn block_names(&self) -> Vec<String> {
         let inventory = Inventory::standard();
         let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
-        let word = |name: &str| NAMES.iter().find(|(of, _)| *of == name).map_or(name, |(_, word)| word).to_owned();
         (0..types.len())
             .map(|i| {
                 let same = |range: &[&str]| range.iter().filter(|name| **name == types[i]).count();
-                if same(&types) == 1 { word(types[i]) } else { format!("{}-{}", word(types[i]), same(&types[..=i])) }
+                if same(&types) == 1 {
+                    word(types[i]).to_owned()
+                } else {
+                    format!("{}-{}", word(types[i]), same(&types[..=i]))
+                }
             })
             .collect()
     }

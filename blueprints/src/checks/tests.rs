@@ -77,7 +77,9 @@ fn what_hangs_on_a_repelling_block_is_not_too_heavy() {
 
 #[test]
 fn blocks_without_axes_are_not_told_to_leave_them_out() {
-    // Crossed slabs held by a beam and a tile: no rotations fit.
+    // Crossed slabs held by a beam and a tile: no rotations fit. A 3x2x1 that lies across another one has an odd
+    // permutation of its axes and needs one different sign, but along every axis the two touch each other or a third
+    // block, and so share the sign.
     let blocks = "{ name = \"a\", type = \"3x2x1\", at = [0, 0, 0], size = [3, 2, 1] },\n\
                   { name = \"b\", type = \"3x2x1\", at = [0, 2, 0], size = [2, 3, 1] },\n\
                   { name = \"c\", type = \"4x1x1\", at = [-1, 0, 0], size = [1, 4, 1] },\n\
