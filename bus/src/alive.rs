@@ -111,16 +111,13 @@ impl Bus {
             .declare_subscriber(keys::live_all(role))
             .history(true)
             .callback(move |sample| {
-                let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| keys::is_valid_run(name));
-                let Some(name) = name else {
+                let is_put = sample.kind() == SampleKind::Put;
+                let has_room = !is_put || sender.borrow().len() < MAX_NAMES;
+                let name = sample.key_expr().as_str().strip_prefix(&prefix);
+                let Some(name) = name.filter(|name| has_room && keys::is_valid_run(name)) else {
                     counts.lock().tokens_invalid_total += 1;
                     return;
                 };
-                let is_put = sample.kind() == SampleKind::Put;
-                if is_put && sender.borrow().len() >= MAX_NAMES {
-                    counts.lock().tokens_invalid_total += 1;
-                    return;
-                }
                 sender
                     .send_if_modified(|names| if is_put { names.insert(name.to_owned()) } else { names.remove(name) });
             })
