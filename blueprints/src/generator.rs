@@ -136,7 +136,7 @@ impl Request {
         bytes[10] = self.n_blocks as u8;
         bytes[11..15].copy_from_slice(&VERSION.to_le_bytes());
         // Use the style's name, so that a new style in the middle of the list does not change the others.
-        for (byte, letter) in bytes[16..].iter_mut().zip(self.style.as_str().bytes()) {
+        for (byte, letter) in bytes[16..].iter_mut().zip(self.style.to_string().bytes()) {
             *byte = letter;
         }
         Dice::new(bytes)
@@ -159,15 +159,11 @@ pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
         .map_err(|error| GenerateError::Unsound { id, error })
 }
 
-/// Generates the structure that an id names; `None` unless it is the id of a generated structure of this [`VERSION`].
-pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
-    Request::from_id(id).map(|request| generate(&request))
-}
-
 /// Number of structures that [`made`] caches, a few kilobytes each; more than the concurrent episodes of a process.
 const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
 
-/// Like [`from_id`], with a cache of recent structures; `None` also if the request has no structure.
+/// Generates the structure that an id names, or takes it from a cache of recent ones; `None` unless it is the id of a
+/// generated structure of this [`VERSION`], or if the request has no structure.
 pub fn made(id: &BlueprintId) -> Option<Blueprint> {
     static MADE: LazyLock<Mutex<LruCache<BlueprintId, Option<Blueprint>>>> =
         LazyLock::new(|| Mutex::new(LruCache::new(MADE_CAPACITY)));
