@@ -19,8 +19,7 @@ use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
-    RelativePlacement, Split,
+    Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement, Split,
 };
 pub use unique::check_all;
 
@@ -162,21 +161,8 @@ impl Check {
 
 impl fmt::Display for Check {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Format => "format",
-            Self::Inventory => "inventory",
-            Self::Turns => "turns",
-            Self::Overlap => "overlap",
-            Self::Polarity => "polarity",
-            Self::Connections => "connections",
-            Self::Connected => "connected",
-            Self::Stands => "stands",
-            Self::Strength => "strength",
-            Self::Assembly => "assembly",
-            Self::Unique => "unique",
-            Self::Settles => "settles",
-            Self::Expert => "expert",
-        })
+        // The name in JSON.
+        self.serialize(f)
     }
 }
 
@@ -259,7 +245,8 @@ fn first_good(
     Some((chosen, placements))
 }
 
-/// Runs the file checks on placements whose lowest corner is at the origin; all magnet pairs that meet are connections.
+/// Runs the file checks on placements whose lowest corner is at the origin and which use the blocks of each type in
+/// order; all magnet pairs that meet are connections.
 pub(crate) fn check_placements(
     id: BlueprintId,
     split: Split,
@@ -267,9 +254,7 @@ pub(crate) fn check_placements(
     placements: &[Placement],
 ) -> Result<Blueprint, BlueprintError> {
     let draft = Draft::of_placements(id, split, title, placements);
-    let turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
-    let placed = draft.place(&draft.assign()?, &turns);
-    let structure = Structure::new(&draft, &placed);
+    let structure = Structure::new(&draft, placements);
     structure.check()?;
     Ok(structure.blueprint())
 }
