@@ -158,8 +158,8 @@ impl CubeRotation {
     }
 }
 
-/// Returns whether a block with three different sides lies in an odd permutation of its axes; `None` if sides are equal.
-/// `own` are its sides along its own axes, and `size` those along the drawing's.
+/// Returns whether a block with three different sides lies in an odd permutation of its axes; `None` if sides are
+/// equal. `own` are its sides along its own axes, and `size` those along the drawing's.
 ///
 /// The product of a block's three [signs](CubeRotation::signs) is the determinant of this permutation.
 pub(crate) fn is_odd(own: [i32; 3], size: [i32; 3]) -> Option<bool> {
