@@ -168,11 +168,10 @@ impl<T> WeightsSubscriber<T> {
 enum Pulled {
     /// The newest weights are here, or are invalid and would be the same after a retry.
     Done,
-    /// There was no reply: the learner has no weights yet, or a router on the way does not know the learner yet or drops
-    /// what exceeds its limit.
+    /// There was no reply, because the learner has no weights yet, or a router on the way does not know the learner yet
+    /// or drops what exceeds its limit; or the learner refuses the pull, because too many are waiting, or it has just
+    /// answered another of this process.
     Nothing,
-    /// The learner refuses the pull: too many are waiting, or it has just answered another of this process.
-    Refused,
     /// The session or the reply failed.
     Failed,
 }
@@ -199,7 +198,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
             if wanted {
                 match self.pull().await {
                     Pulled::Done => wanted = false,
-                    Pulled::Nothing | Pulled::Refused => pause = nothing_pause(),
+                    Pulled::Nothing => pause = nothing_pause(),
                     Pulled::Failed => self.counts.lock().pulls_failed_total += 1,
                 }
             }
@@ -239,7 +238,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
         let sample = match reply.result() {
             Ok(sample) => sample,
             Err(error) if *error.encoding() == Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA) => {
-                return Pulled::Refused;
+                return Pulled::Nothing;
             }
             Err(_) => return Pulled::Failed,
         };
