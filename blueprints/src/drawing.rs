@@ -101,11 +101,6 @@ impl DrawnBlock {
         let rotation = rotation.ok_or_else(|| BlueprintError::BadAxes { block: block(), axes: axes.to_owned() })?;
         Ok(Self { type_name: block(), at, rotation, is_free })
     }
-
-    /// Returns the directions of the block's own x and y axes, as written in a file.
-    pub fn axes(&self) -> String {
-        self.rotation.axes()
-    }
 }
 
 impl Drawing {
