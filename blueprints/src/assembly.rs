@@ -139,8 +139,7 @@ impl Assembly {
 
     /// Returns whether the structure can be completed from `placed` on that side.
     pub fn is_safe(&mut self, side: usize, placed: Parts) -> bool {
-        let Self { geometry, sides, .. } = self;
-        sides[side].is_safe(geometry, placed)
+        self.sides[side].is_safe(&self.geometry, placed)
     }
 
     /// Returns the approach paths for `group` to the structure `placed`, best first.
@@ -160,20 +159,7 @@ impl Assembly {
 
     /// Returns the best part to place next; `None` if all parts are placed or no assembly order continues from here.
     pub fn next(&mut self, side: usize, placed: Parts) -> Option<usize> {
-        let Self { geometry, sides, .. } = self;
-        let side = &mut sides[side];
-        side.candidates(geometry, placed).into_iter().find(|&part| side.is_safe(geometry, placed.with(part)))
-    }
-
-    /// Returns a complete assembly order on the best side.
-    pub fn order(&mut self) -> Vec<BlockIdx> {
-        let mut placed = Parts::default();
-        let mut order = Vec::new();
-        while let Some(part) = self.next(0, placed) {
-            placed = placed.with(part);
-            order.push(self.blocks[part]);
-        }
-        order
+        self.sides[side].next(&self.geometry, placed)
     }
 }
 
@@ -197,6 +183,10 @@ impl Side {
         }
         found.sort_unstable();
         found.into_iter().map(|(.., part)| part).collect()
+    }
+
+    fn next(&mut self, geometry: &Geometry, placed: Parts) -> Option<usize> {
+        self.candidates(geometry, placed).into_iter().find(|&part| self.is_safe(geometry, placed.with(part)))
     }
 
     fn is_safe(&mut self, geometry: &Geometry, placed: Parts) -> bool {
@@ -240,11 +230,7 @@ impl Side {
             return None;
         }
         while placed != geometry.all() {
-            let part = self
-                .candidates(geometry, placed)
-                .into_iter()
-                .find(|&part| self.is_safe(geometry, placed.with(part)))?;
-            placed = placed.with(part);
+            placed = placed.with(self.next(geometry, placed)?);
             least = least.min(geometry.margin_u(placed, self.up));
         }
         Some(least)

@@ -7,7 +7,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::assembly::{Assembly, NoAssembly, Plan, PlanStep, Shared};
-use crate::{BlockIdx, Inventory, N_BLOCKS, Placement, RelativePlacement};
+use crate::placement::extent_u;
+use crate::{BlockIdx, N_BLOCKS, Placement, RelativePlacement};
 
 /// Name of a blueprint: 1 to 64 letters, digits, `-`, and `_`, starting with a letter or digit.
 ///
@@ -215,13 +216,7 @@ impl Blueprint {
 
     /// Returns the size of the structure along its own x, y, and z (up), in units (0.1 m).
     pub fn extent_u(&self) -> [i32; 3] {
-        let inventory = Inventory::standard();
-        std::array::from_fn(|k| {
-            let ends = |sign: i32| {
-                self.placements.iter().map(move |p| p.center_half_units[k] + sign * p.size_cells(inventory)[k])
-            };
-            (ends(1).max().unwrap_or(0) - ends(-1).min().unwrap_or(0)) / 2
-        })
+        extent_u(&self.placements)
     }
 
     /// Returns whether the block is part of the structure.

@@ -23,8 +23,7 @@ impl Blueprint {
     /// So it does not change if a structure is rotated or mirrored, if its poles are swapped, or if other blocks fill
     /// the same cells. It costs about as much as [`Self::canonical_hash`].
     pub fn outline_hash(&self) -> u64 {
-        let inventory = Inventory::standard();
-        outline_hash(self.placements().iter().flat_map(|p| p.filled_cells(inventory)).collect())
+        outline_hash(self.placements().iter().flat_map(|p| p.filled_cells()).collect())
     }
 
     /// Returns the smallest, over the 24 rotations, of the sorted lists of (size, center, rotation) as bytes.
@@ -77,7 +76,7 @@ fn outline_hash(cells: Vec<[i32; 3]>) -> u64 {
 mod tests {
     use super::outline_hash;
     use crate::assembly::Shared;
-    use crate::{BlockIdx, Blueprint, Catalog, CubeRotation, Inventory, N_BLOCKS, Placement, Split};
+    use crate::{BlockIdx, Blueprint, Catalog, CubeRotation, N_BLOCKS, Placement, Split};
 
     fn turned(blueprint: &Blueprint, turn: CubeRotation) -> Blueprint {
         let place = |p: &Placement| Placement {
@@ -86,8 +85,7 @@ mod tests {
             rotation: turn.compose(p.rotation),
             ..*p
         };
-        let placements: Vec<_> = blueprint.placements.iter().map(place).collect();
-        Blueprint { assembly: Shared::new(&placements), placements, ..blueprint.clone() }
+        placed(blueprint, blueprint.placements.iter().map(place).collect())
     }
 
     #[test]
@@ -147,7 +145,7 @@ mod tests {
     /// Fills each of the same cells with a cube. The inventory has fewer cubes, but the outline hash does not check
     /// that.
     fn retiled(blueprint: &Blueprint) -> Blueprint {
-        let cells = blueprint.placements.iter().flat_map(|p| p.filled_cells(Inventory::standard()));
+        let cells = blueprint.placements.iter().flat_map(|p| p.filled_cells());
         let cube = |cell: [i32; 3]| Placement {
             block: BlockIdx::try_from(0).unwrap(),
             center_half_units: cell.map(|x| 2 * x + 1),

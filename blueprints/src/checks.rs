@@ -15,11 +15,11 @@ use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
 use crate::format::{Draft, MagnetName, NamedPair};
 use crate::infer::{self, Completed};
 pub use crate::infer::{FoundTurn, WayReason};
+use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
 use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, Link, NoAssembly, Placement,
-    RelativePlacement, Split,
+    Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement, Split,
 };
 pub use unique::check_all;
 
@@ -161,21 +161,8 @@ impl Check {
 
 impl fmt::Display for Check {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Format => "format",
-            Self::Inventory => "inventory",
-            Self::Turns => "turns",
-            Self::Overlap => "overlap",
-            Self::Polarity => "polarity",
-            Self::Connections => "connections",
-            Self::Connected => "connected",
-            Self::Stands => "stands",
-            Self::Strength => "strength",
-            Self::Assembly => "assembly",
-            Self::Unique => "unique",
-            Self::Settles => "settles",
-            Self::Expert => "expert",
-        })
+        // The name in JSON.
+        self.serialize(f)
     }
 }
 
@@ -198,18 +185,16 @@ impl Report {
 /// assert!(report.blueprint.is_err_and(|error| error.to_string().starts_with("mine.toml: line 1: missing field")));
 /// ```
 pub fn check_text(file: &str, text: &str) -> Report {
-    let inventory = Inventory::standard();
     let mut run = Run::default();
     let draft = run.record(Check::Format, Draft::parse(file, text));
-    let assigned = draft.as_ref().and_then(|draft| run.record(Check::Inventory, draft.assign(inventory)));
+    let assigned = draft.as_ref().and_then(|draft| run.record(Check::Inventory, draft.assign()));
     let found = draft.as_ref().zip(assigned.as_ref()).and_then(|(draft, assigned)| {
-        let ways =
-            infer::completions(draft, assigned, inventory).map(|ways| first_good(draft, assigned, ways, inventory));
+        let ways = infer::completions(draft, assigned).map(|ways| first_good(draft, assigned, ways));
         run.record(Check::Turns, ways).flatten()
     });
     let (mut blueprint, mut inferred, mut completed) = (None, Vec::new(), None);
     if let (Some(draft), Some((completion, placements))) = (&draft, &found) {
-        let structure = Structure::new(draft, placements, inventory);
+        let structure = Structure::new(draft, placements);
         let apart = run.record(Check::Overlap, structure.overlap());
         let attract = run.record(Check::Polarity, structure.polarity());
         // Magnets do not hold blocks that overlap or repel. Whatever hangs on them would also be reported as loose or
@@ -250,10 +235,9 @@ fn first_good(
     draft: &Draft,
     assigned: &[BlockIdx],
     completions: Vec<Completed>,
-    inventory: &Inventory,
 ) -> Option<(Completed, Vec<Placement>)> {
-    let place = |way: &Completed| draft.place(assigned, &way.turns, inventory);
-    let is_good = |way: &Completed| Structure::new(draft, &place(way), inventory).check().is_ok();
+    let place = |way: &Completed| draft.place(assigned, &way.turns);
+    let is_good = |way: &Completed| Structure::new(draft, &place(way)).check().is_ok();
     // If there is only one completion, the checks that follow judge it.
     let at = if completions.len() == 1 { 0 } else { completions.iter().position(is_good).unwrap_or(0) };
     let chosen = completions.get(at)?.after(&completions[..at]);
@@ -261,18 +245,16 @@ fn first_good(
     Some((chosen, placements))
 }
 
-/// Runs the file checks on placements whose lowest corner is at the origin; all magnet pairs that meet are connections.
+/// Runs the file checks on placements whose lowest corner is at the origin and which use the blocks of each type in
+/// order; all magnet pairs that meet are connections.
 pub(crate) fn check_placements(
     id: BlueprintId,
     split: Split,
     title: String,
     placements: &[Placement],
 ) -> Result<Blueprint, BlueprintError> {
-    let inventory = Inventory::standard();
-    let draft = Draft::of_placements(id, split, title, placements, inventory);
-    let turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
-    let placed = draft.place(&draft.assign(inventory)?, &turns, inventory);
-    let structure = Structure::new(&draft, &placed, inventory);
+    let draft = Draft::of_placements(id, split, title, placements);
+    let structure = Structure::new(&draft, placements);
     structure.check()?;
     Ok(structure.blueprint())
 }
@@ -311,7 +293,6 @@ impl Run {
 struct Structure<'a> {
     draft: &'a Draft,
     placements: &'a [Placement],
-    inventory: &'a Inventory,
     attracting: BTreeSet<NamedPair>,
     /// Repelling magnet pairs, each with the point where they meet, in half units.
     repelling: Vec<(NamedPair, [i32; 3])>,
@@ -320,20 +301,17 @@ struct Structure<'a> {
 }
 
 impl<'a> Structure<'a> {
-    fn new(draft: &'a Draft, placements: &'a [Placement], inventory: &'a Inventory) -> Self {
+    fn new(draft: &'a Draft, placements: &'a [Placement]) -> Self {
+        let inventory = Inventory::standard();
         let mut attracting = BTreeSet::new();
         let mut repelling = Vec::new();
         let mut joints = Vec::new();
         for (i, a) in placements.iter().enumerate() {
             for (j, b) in placements.iter().enumerate().skip(i + 1) {
                 let relative = RelativePlacement::between(a, b);
-                let magnet = |p: &Placement, k: usize| inventory.magnets(p.block)[k];
-                let named = |(p, q)| {
-                    let name = |at: &Placement, k| MagnetName::of(inventory, at.block, &magnet(at, k));
-                    (i, j, name(a, p), name(b, q))
-                };
-                let place = |p| {
-                    let turned = a.rotation.apply(magnet(a, p).position_half_units);
+                let named = |(p, q)| (i, j, MagnetName::of(a.block, p), MagnetName::of(b.block, q));
+                let place = |p: usize| {
+                    let turned = a.rotation.apply(inventory.magnets(a.block)[p].position_half_units);
                     std::array::from_fn(|k| a.center_half_units[k] + turned[k])
                 };
                 let pairs = inventory.magnet_pairs(a.block, b.block, relative);
@@ -346,7 +324,7 @@ impl<'a> Structure<'a> {
                 }
             }
         }
-        Self { draft, placements, inventory, attracting, repelling, joints }
+        Self { draft, placements, attracting, repelling, joints }
     }
 
     /// Runs the checks of the structure in order, up to the first failure.
@@ -395,7 +373,7 @@ impl<'a> Structure<'a> {
     fn overlap(&self) -> Result<(), BlueprintError> {
         let mut filled = BTreeMap::new();
         for (i, placement) in self.placements.iter().enumerate() {
-            for cell in placement.filled_cells(self.inventory) {
+            for cell in placement.filled_cells() {
                 if let Some(other) = filled.insert(cell, i) {
                     let center = self.drawn(cell.map(|x| 2 * x + 1));
                     let cell = center.map(|x| (x - 1) / 2);
@@ -423,7 +401,7 @@ impl<'a> Structure<'a> {
 
     /// Converts a point of the structure to the file's coordinates, both in half units.
     fn drawn(&self, point: [i32; 3]) -> [i32; 3] {
-        self.draft.drawn(point, self.placements, self.inventory)
+        self.draft.drawn(point, self.placements)
     }
 
     fn connections(&self) -> Result<(), BlueprintError> {
@@ -441,23 +419,15 @@ impl<'a> Structure<'a> {
     }
 
     fn connected(&self) -> Result<(), BlueprintError> {
-        let mut reached = BTreeSet::from([0]);
-        let mut frontier = vec![0];
-        while let Some(at) = frontier.pop() {
-            for &(i, j, ..) in &self.attracting {
-                let next = if i == at { j } else { i };
-                if (i == at || j == at) && reached.insert(next) {
-                    frontier.push(next);
-                }
-            }
-        }
-        (0..self.placements.len())
-            .find(|i| !reached.contains(i))
+        let pieces = pieces(self.placements.len(), self.joints.iter().map(|joint| (joint.a, joint.b)));
+        pieces
+            .iter()
+            .position(|&piece| piece != 0)
             .map_or(Ok(()), |i| Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) }))
     }
 
     fn stands(&self) -> Result<(), BlueprintError> {
-        let margin_u = support_margin_u(self.placements, self.inventory);
+        let margin_u = support_margin_u(self.placements);
         if margin_u >= MIN_SUPPORT_MARGIN_U {
             return Ok(());
         }
@@ -465,7 +435,7 @@ impl<'a> Structure<'a> {
     }
 
     fn strength(&self) -> Result<(), BlueprintError> {
-        let cells: Vec<_> = self.placements.iter().map(|p| p.filled_cells(self.inventory)).collect();
+        let cells: Vec<_> = self.placements.iter().map(|p| p.filled_cells()).collect();
         overloaded(&cells, &self.joints, 0).map_or(Ok(()), |(at, load)| {
             let joint = &self.joints[at];
             Err(BlueprintError::Overloaded {
@@ -500,7 +470,7 @@ impl<'a> Structure<'a> {
         for (i, a) in placements.iter().enumerate() {
             for b in &placements[i + 1..] {
                 let relative = RelativePlacement::between(a, b);
-                let n_pairs = self.inventory.magnet_pairs(a.block, b.block, relative).len();
+                let n_pairs = Inventory::standard().magnet_pairs(a.block, b.block, relative).len();
                 // Blocks do not overlap here, so at most one face of 8 × 8 magnets meets another.
                 let n_magnet_pairs = u8::try_from(n_pairs).unwrap_or(u8::MAX);
                 if n_magnet_pairs > 0 {

@@ -10,10 +10,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::checks::{Check, check_placements, check_text};
 use crate::error::BlueprintError;
 use crate::format::MAX_COORDINATE;
+use crate::pieces::pieces;
+use crate::placement::move_to_origin;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
+pub use crate::writer::word;
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
-    RelativePlacement, Split, writer,
+    RelativePlacement, Split,
 };
 
 /// Maximum number of characters in a title; the rest is cut off.
@@ -98,16 +101,6 @@ impl DrawnBlock {
         let rotation = rotation.ok_or_else(|| BlueprintError::BadAxes { block: block(), axes: axes.to_owned() })?;
         Ok(Self { type_name: block(), at, rotation, is_free })
     }
-
-    /// Returns the directions of the block's own x and y axes, as written in a file.
-    pub fn axes(&self) -> String {
-        self.rotation.axes()
-    }
-}
-
-/// Returns the everyday word for a type of block, for example `cube`.
-pub fn word(type_name: &str) -> &str {
-    writer::NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
 }
 
 impl Drawing {
@@ -117,15 +110,11 @@ impl Drawing {
     /// If the text is not a valid blueprint.
     pub fn from_toml(text: &str) -> Result<Self, BlueprintError> {
         let blueprint = check_text("drawing.toml", text).blueprint.map_err(|error| error.error)?;
-        let inventory = Inventory::standard();
-        let block = |placement: &Placement| {
-            let size = placement.size_cells(inventory);
-            DrawnBlock {
-                type_name: inventory.block_type(placement.block).name.clone(),
-                at: std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2),
-                rotation: placement.rotation,
-                is_free: false,
-            }
+        let block = |placement: &Placement| DrawnBlock {
+            type_name: Inventory::standard().block_type(placement.block).name.clone(),
+            at: placement.lowest_cell(),
+            rotation: placement.rotation,
+            is_free: false,
         };
         let blocks = blueprint.placements().iter().map(block).collect();
         Ok(Self { title: blueprint.title().to_owned(), blocks })
@@ -179,7 +168,6 @@ impl Drawing {
     /// Places the blocks with the lowest corner at the origin. The k-th block of a type is the k-th in the inventory.
     fn placements(&self) -> Result<Vec<Placement>, BlueprintError> {
         let inventory = Inventory::standard();
-        let lowest: [i32; 3] = std::array::from_fn(|k| self.blocks.iter().map(|b| b.at[k]).min().unwrap_or(0));
         let mut n_used: BTreeMap<&str, usize> = BTreeMap::new();
         let mut placements = Vec::with_capacity(self.blocks.len());
         for drawn in &self.blocks {
@@ -192,9 +180,10 @@ impl Drawing {
             })?;
             *k += 1;
             let size = drawn.rotation.apply(inventory.cells(block).map(i32::from)).map(i32::abs);
-            let center_half_units = std::array::from_fn(|k| 2 * (drawn.at[k] - lowest[k]) + size[k]);
+            let center_half_units = std::array::from_fn(|k| 2 * drawn.at[k] + size[k]);
             placements.push(Placement { block, center_half_units, rotation: drawn.rotation });
         }
+        move_to_origin(&mut placements);
         Ok(placements)
     }
 
@@ -221,7 +210,7 @@ impl Drawing {
     fn overlaps(&self, placements: &[Placement], found: &mut Findings) {
         let mut filled: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
         for (i, placement) in placements.iter().enumerate() {
-            for cell in placement.filled_cells(Inventory::standard()) {
+            for cell in placement.filled_cells() {
                 filled.entry(cell).or_default().push(i);
             }
         }
@@ -250,11 +239,7 @@ impl Drawing {
 
     /// Names the blocks outside the largest piece.
     fn loose(&self, found: &mut Findings) {
-        let mut piece: Vec<usize> = (0..self.blocks.len()).collect();
-        for Connection { a, b, .. } in &found.connections {
-            let (low, high) = (piece[*a].min(piece[*b]), piece[*a].max(piece[*b]));
-            piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
-        }
+        let piece = pieces(self.blocks.len(), found.connections.iter().map(|connection| (connection.a, connection.b)));
         let size = |of: usize| piece.iter().filter(|&&p| p == of).count();
         let Some(largest) = piece.iter().copied().max_by_key(|&p| (size(p), std::cmp::Reverse(p))) else { return };
         let loose: Vec<usize> = (0..piece.len()).filter(|&i| piece[i] != largest).collect();
@@ -265,7 +250,7 @@ impl Drawing {
     }
 
     fn topples(&self, placements: &[Placement]) -> Option<Problem> {
-        let margin_u = support_margin_u(placements, Inventory::standard());
+        let margin_u = support_margin_u(placements);
         let text = "the structure tips over: too little of its lowest layer is under its center of mass".to_owned();
         (margin_u < MIN_SUPPORT_MARGIN_U).then_some(Problem { check: Check::Stands, blocks: Vec::new(), text })
     }

@@ -28,7 +28,8 @@ use serde::Deserialize;
 use toml::{Spanned, Value};
 
 use crate::error::BlueprintError;
-use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, Magnet, N_BLOCKS, Placement, Split};
+use crate::placement::move_to_origin;
+use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, N_BLOCKS, Placement, Split};
 
 /// Maximum absolute coordinate of a cell in a file, which prevents overflow in sums.
 pub const MAX_COORDINATE: i32 = 64;
@@ -148,29 +149,21 @@ impl Draft {
     }
 
     /// Creates a drawing of placed blocks without connections; block names are numbers.
-    pub(crate) fn of_placements(
-        id: BlueprintId,
-        split: Split,
-        title: String,
-        placements: &[Placement],
-        inventory: &Inventory,
-    ) -> Self {
-        let draw = |p: &Placement| {
-            let size = p.size_cells(inventory);
-            DraftBlock {
-                name: p.block.get().to_string(),
-                type_name: inventory.block_type(p.block).name.clone(),
-                at: std::array::from_fn(|k| (p.center_half_units[k] - size[k]) / 2),
-                turn: Some(p.rotation),
-                size: None,
-            }
+    pub(crate) fn of_placements(id: BlueprintId, split: Split, title: String, placements: &[Placement]) -> Self {
+        let draw = |p: &Placement| DraftBlock {
+            name: p.block.get().to_string(),
+            type_name: Inventory::standard().block_type(p.block).name.clone(),
+            at: p.lowest_cell(),
+            turn: Some(p.rotation),
+            size: None,
         };
         let blocks = placements.iter().map(draw).collect();
         Self { id, split, title, up: [0, 0, 1], provenance: None, blocks, pairs: None }
     }
 
     /// Assigns an inventory block to each block of the file: the k-th of a type gets the k-th in the inventory.
-    pub(crate) fn assign(&self, inventory: &Inventory) -> Result<Vec<BlockIdx>, BlueprintError> {
+    pub(crate) fn assign(&self) -> Result<Vec<BlockIdx>, BlueprintError> {
+        let inventory = Inventory::standard();
         let mut assigned = Vec::with_capacity(self.blocks.len());
         for (i, block) in self.blocks.iter().enumerate() {
             let (name, type_name) = (block.name.clone(), block.type_name.clone());
@@ -188,26 +181,26 @@ impl Draft {
 
     /// Places assigned blocks with their rotations, then rotates and moves the drawing so that `up` is +z and its
     /// lowest corner is at the origin. Placements are in file order.
-    pub(crate) fn place(&self, assigned: &[BlockIdx], turns: &[CubeRotation], inventory: &Inventory) -> Vec<Placement> {
+    pub(crate) fn place(&self, assigned: &[BlockIdx], turns: &[CubeRotation]) -> Vec<Placement> {
         let upright = self.upright();
         let place = |((block, &idx), &turn): ((&DraftBlock, &BlockIdx), &CubeRotation)| {
-            let size = turn.apply(inventory.cells(idx).map(i32::from)).map(i32::abs);
+            let size = turn.apply(Inventory::standard().cells(idx).map(i32::from)).map(i32::abs);
             let center = std::array::from_fn(|k| 2 * block.at[k] + size[k]);
             Placement { block: idx, center_half_units: upright.apply(center), rotation: upright.compose(turn) }
         };
         let mut placements: Vec<_> = self.blocks.iter().zip(assigned).zip(turns).map(place).collect();
-        move_to_origin(&mut placements, inventory);
+        move_to_origin(&mut placements);
         placements
     }
 
     /// Converts a point of the placed blocks to the file's coordinates, for messages; both in half units.
-    pub(crate) fn drawn(&self, point: [i32; 3], placements: &[Placement], inventory: &Inventory) -> [i32; 3] {
+    pub(crate) fn drawn(&self, point: [i32; 3], placements: &[Placement]) -> [i32; 3] {
         let back = self.upright().inverse();
         let turned = back.apply(point);
         // The first block's center, rotated back, differs from its center as drawn by the distance the drawing was
         // moved.
         self.blocks.iter().zip(placements).next().map_or(turned, |(block, placement)| {
-            let (center, size) = (back.apply(placement.center_half_units), back.apply(placement.size_cells(inventory)));
+            let (center, size) = (back.apply(placement.center_half_units), back.apply(placement.size_cells()));
             std::array::from_fn(|k| turned[k] - center[k] + 2 * block.at[k] + size[k].abs())
         })
     }
@@ -219,9 +212,10 @@ impl Draft {
 }
 
 impl MagnetName {
-    /// Returns the name of a magnet of the given block.
-    pub(crate) fn of(inventory: &Inventory, block: BlockIdx, magnet: &Magnet) -> Self {
-        let cells = inventory.cells(block).map(i32::from);
+    /// Returns the name of a block's `k`-th magnet.
+    pub(crate) fn of(block: BlockIdx, k: usize) -> Self {
+        let inventory = Inventory::standard();
+        let (cells, magnet) = (inventory.cells(block).map(i32::from), inventory.magnets(block)[k]);
         // The cell's center lies half a cell inside the face.
         let cell = std::array::from_fn(|k| (magnet.position_half_units[k] - magnet.normal[k] + cells[k] - 1) / 2);
         Self { normal: magnet.normal, cell }
@@ -302,14 +296,6 @@ fn parse_pairs(connections: Vec<RawConnection>, blocks: &[DraftBlock]) -> Result
         }
     }
     Ok(pairs)
-}
-
-fn move_to_origin(placements: &mut [Placement], inventory: &Inventory) {
-    let corner = |p: &Placement, k: usize| p.center_half_units[k] - p.size_cells(inventory)[k];
-    let lowest: [i32; 3] = std::array::from_fn(|k| placements.iter().map(|p| corner(p, k)).min().unwrap_or(0));
-    for placement in placements {
-        placement.center_half_units = std::array::from_fn(|k| placement.center_half_units[k] - lowest[k]);
-    }
 }
 
 /// Returns the value as three whole numbers, if it is that.

@@ -23,6 +23,7 @@ use lru::LruCache;
 
 use crate::checks::check_placements;
 use crate::error::BlueprintError;
+use crate::placement::extent_u;
 use crate::{Blueprint, BlueprintId, Split};
 use dice::Dice;
 pub use style::{InvalidStyle, Style};
@@ -135,7 +136,7 @@ impl Request {
         bytes[10] = self.n_blocks as u8;
         bytes[11..15].copy_from_slice(&VERSION.to_le_bytes());
         // Use the style's name, so that a new style in the middle of the list does not change the others.
-        for (byte, letter) in bytes[16..].iter_mut().zip(self.style.as_str().bytes()) {
+        for (byte, letter) in bytes[16..].iter_mut().zip(self.style.to_string().bytes()) {
             *byte = letter;
         }
         Dice::new(bytes)
@@ -151,24 +152,18 @@ impl Request {
 /// [`GenerateError::Exhausted`] for the rare request without a structure.
 pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
     let id = request.id()?;
-    let (found, effort) = search::search(request.style, request.n_blocks, &mut request.dice());
-    let Some(found) = found else {
-        return Err(GenerateError::Exhausted { id, n_draws: effort.n_draws });
-    };
+    let found = search::search(request.style, request.n_blocks, &mut request.dice())
+        .map_err(|n_draws| GenerateError::Exhausted { id: id.clone(), n_draws })?;
     let title = title(&found, request.style);
     check_placements(id.clone(), Split::Train, title, &found.placements)
         .map_err(|error| GenerateError::Unsound { id, error })
 }
 
-/// Generates the structure that an id names; `None` unless it is the id of a generated structure of this [`VERSION`].
-pub fn from_id(id: &BlueprintId) -> Option<Result<Blueprint, GenerateError>> {
-    Request::from_id(id).map(|request| generate(&request))
-}
-
 /// Number of structures that [`made`] caches, a few kilobytes each; more than the concurrent episodes of a process.
 const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
 
-/// Like [`from_id`], with a cache of recent structures; `None` also if the request has no structure.
+/// Generates the structure that an id names, or takes it from a cache of recent ones; `None` unless it is the id of a
+/// generated structure of this [`VERSION`], or if the request has no structure.
 pub fn made(id: &BlueprintId) -> Option<Blueprint> {
     static MADE: LazyLock<Mutex<LruCache<BlueprintId, Option<Blueprint>>>> =
         LazyLock::new(|| Mutex::new(LruCache::new(MADE_CAPACITY)));
@@ -224,10 +219,9 @@ pub fn generate_many(
 /// Returns a title with the shape, the number of blocks, and the characteristic size.
 fn title(found: &search::Found, style: Style) -> String {
     let n_blocks = found.placements.len();
+    let [x, y, z] = extent_u(&found.placements);
     match style {
-        Style::Longest => {
-            format!("{} of {n_blocks} blocks, {} u long", found.words, found.extent(0).max(found.extent(1)))
-        }
-        _ => format!("{} of {n_blocks} blocks, {} u high", found.words, found.extent(2)),
+        Style::Longest => format!("{} of {n_blocks} blocks, {} u long", found.words, x.max(y)),
+        _ => format!("{} of {n_blocks} blocks, {z} u high", found.words),
     }
 }

@@ -17,6 +17,8 @@ use std::fmt;
 
 use crate::error::BlueprintError;
 use crate::format::Draft;
+use crate::lattice::is_odd;
+use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::{BlockIdx, CubeRotation, Inventory};
 use poles::Parities;
@@ -137,12 +139,8 @@ impl FoundTurn {
 
 /// Returns completions of a draft with assigned blocks, best first: those that hold together and stand, or else one
 /// that does not, so that the checks can report what is wrong with it.
-pub(crate) fn completions(
-    draft: &Draft,
-    assigned: &[BlockIdx],
-    inventory: &Inventory,
-) -> Result<Vec<Completed>, BlueprintError> {
-    let search = Search::new(draft, assigned, inventory)?;
+pub(crate) fn completions(draft: &Draft, assigned: &[BlockIdx]) -> Result<Vec<Completed>, BlueprintError> {
+    let search = Search::new(draft, assigned)?;
     let turns: Option<Vec<CubeRotation>> = draft.blocks.iter().map(|block| block.turn).collect();
     if let Some(turns) = turns {
         return Ok(vec![Completed { found: vec![None; turns.len()], turns }]);
@@ -152,8 +150,8 @@ pub(crate) fn completions(
     let holds_together = drawings.iter().any(|drawing| drawing.fits);
     drawings.retain(|drawing| drawing.fits == holds_together);
     let stands = |drawing: &Drawing| {
-        let placements = draft.place(assigned, &drawing.turns, inventory);
-        support_margin_u(&placements, inventory) >= MIN_SUPPORT_MARGIN_U
+        let placements = draft.place(assigned, &drawing.turns);
+        support_margin_u(&placements) >= MIN_SUPPORT_MARGIN_U
     };
     let stands: Vec<bool> = drawings.iter().map(|drawing| holds_together && stands(drawing)).collect();
     let ways = Ways::new(&search, &drawings, &stands, is_cut);
@@ -243,7 +241,8 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn new(draft: &'a Draft, assigned: &[BlockIdx], inventory: &Inventory) -> Result<Self, BlueprintError> {
+    fn new(draft: &'a Draft, assigned: &[BlockIdx]) -> Result<Self, BlueprintError> {
+        let inventory = Inventory::standard();
         let own: Vec<Cell> = assigned.iter().map(|&idx| inventory.cells(idx).map(i32::from)).collect();
         let mut options = Vec::with_capacity(own.len());
         for ((block, &own), &idx) in draft.blocks.iter().zip(&own).zip(assigned) {
@@ -354,23 +353,22 @@ impl<'a> Search<'a> {
         for (i, block) in self.draft.blocks.iter().enumerate() {
             if let Some(turn) = block.turn {
                 for axis in 0..3 {
-                    fits &= parities.add(unknown(i, axis), sign(turn, axis) < 0);
+                    fits &= parities.add(unknown(i, axis), turn.signs()[axis] < 0);
                 }
-            } else if let Some(is_odd) = parity(self.own[i], sizes[i]) {
+            } else if let Some(is_odd) = is_odd(self.own[i], sizes[i]) {
                 fits &= parities.add((0..3).map(|axis| unknown(i, axis)).sum(), is_odd);
             }
         }
-        let mut piece: Vec<usize> = (0..n).collect();
+        let mut touching = Vec::new();
         for i in 0..n {
             for j in 0..i {
                 if let Contact::Along { axis, .. } = self.contact(i, sizes[i], j, sizes[j]) {
                     fits &= parities.add(unknown(i, axis) | unknown(j, axis), false);
-                    let (low, high) = (piece[i].min(piece[j]), piece[i].max(piece[j]));
-                    piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
+                    touching.push((i, j));
                 }
             }
         }
-        fits &= piece.iter().all(|&p| p == 0);
+        fits &= pieces(n, touching).iter().all(|&piece| piece == 0);
         let forced = parities.clone();
         for i in (0..n).filter(|&i| self.draft.blocks[i].turn.is_none()) {
             // If possible, point the block's own z up, as people draw blocks and as they lie around.
@@ -384,7 +382,7 @@ impl<'a> Search<'a> {
         let turn = |i: usize| {
             let can_be = |turn: &CubeRotation| {
                 turn.apply(self.own[i]).map(i32::abs) == sizes[i]
-                    && (0..3).all(|axis| sign(*turn, axis) == sign_of(i, axis))
+                    && (0..3).all(|axis| turn.signs()[axis] == sign_of(i, axis))
             };
             let is_upright = |turn: &CubeRotation| turn.matrix()[2][2] == 1;
             let fitting = || CubeRotation::all().filter(can_be);
@@ -413,19 +411,6 @@ enum Contact {
 fn long_axis(size: Cell) -> Option<usize> {
     let mut long = (0..3).filter(|&k| size[k] > 1);
     long.next().filter(|_| long.next().is_none())
-}
-
-/// Returns the sign of the magnets on the face that points along `axis` in the drawing.
-fn sign(turn: CubeRotation, axis: usize) -> i32 {
-    turn.matrix()[axis].iter().sum()
-}
-
-/// Returns whether a block with three different sides lies in an odd permutation of its axes; `None` if sides are
-/// equal.
-fn parity(own: Cell, size: Cell) -> Option<bool> {
-    let is_distinct = own[0] != own[1] && own[1] != own[2] && own[0] != own[2];
-    // The three cyclic permutations are the even ones.
-    is_distinct.then(|| !(0..3).any(|by| (0..3).all(|k| size[k] == own[(k + by) % 3])))
 }
 
 #[cfg(test)]

@@ -99,6 +99,12 @@ impl CubeRotation {
         TABLES.matrices[usize::from(self.0)]
     }
 
+    /// Returns the signs of the magnets on the faces that point along +x, +y, and +z when a block is rotated; those on
+    /// the opposite faces have the other signs.
+    pub(crate) fn signs(self) -> [i32; 3] {
+        self.matrix().map(|row| row.iter().sum())
+    }
+
     /// Applies the rotation to an integer vector.
     pub fn apply(self, v: [i32; 3]) -> [i32; 3] {
         self.matrix().map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
@@ -150,6 +156,16 @@ impl CubeRotation {
         let m = nalgebra::Matrix3::from_fn(|i, j| self.matrix()[i][j] as f32);
         nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(m))
     }
+}
+
+/// Returns whether a block with three different sides lies in an odd permutation of its axes; `None` if sides are
+/// equal. `own` are its sides along its own axes, and `size` those along the drawing's.
+///
+/// The product of a block's three [signs](CubeRotation::signs) is the determinant of this permutation.
+pub(crate) fn is_odd(own: [i32; 3], size: [i32; 3]) -> Option<bool> {
+    let is_distinct = own[0] != own[1] && own[1] != own[2] && own[0] != own[2];
+    // The three cyclic permutations are the even ones.
+    is_distinct.then(|| !(0..3).any(|by| (0..3).all(|k| size[k] == own[(k + by) % 3])))
 }
 
 /// The pose of block `b` relative to block `a` on the lattice. It is exact, so `==` can compare two of them.

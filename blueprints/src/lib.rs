@@ -1,9 +1,9 @@
 //! Blocks, magnets, the inventory, and target structures ("blueprints"), without physics.
 //!
 //! Reading order: [`lattice`] → [`inventory`] → [`placement`] → [`blueprint`] → the file [`mod@format`] and its
-//! [`error`]s → [`stance`] and [`strength`] → inference of what a file leaves open (`infer`) → [`checks`] → [`drawing`]
-//! → the file writer → the canonical hash → [`catalog`]. [`outside`] reads files and prints texts that nobody vouches
-//! for, here and in other crates.
+//! [`error`]s → [`stance`], `pieces`, and [`strength`] → inference of what a file leaves open (`infer`) → [`checks`] →
+//! [`drawing`] → the file writer → the canonical hash → [`catalog`]. [`outside`] reads files and prints texts that
+//! nobody vouches for, here and in other crates.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -22,6 +22,7 @@ mod infer;
 pub mod inventory;
 pub mod lattice;
 pub mod outside;
+mod pieces;
 pub mod placement;
 pub mod stance;
 pub mod strength;

@@ -20,14 +20,19 @@ impl Placement {
     }
 
     /// Returns the size in unit cells along the blueprint's axes.
-    pub fn size_cells(&self, inventory: &Inventory) -> [i32; 3] {
-        self.rotation.apply(inventory.cells(self.block).map(i32::from)).map(i32::abs)
+    pub fn size_cells(&self) -> [i32; 3] {
+        self.rotation.apply(Inventory::standard().cells(self.block).map(i32::from)).map(i32::abs)
+    }
+
+    /// Returns the lowest-numbered corner cell that the block fills.
+    pub(crate) fn lowest_cell(&self) -> [i32; 3] {
+        let size = self.size_cells();
+        std::array::from_fn(|k| (self.center_half_units[k] - size[k]) / 2)
     }
 
     /// Returns the unit cells that the block fills, each as its lowest corner in units, in increasing order.
-    pub fn filled_cells(&self, inventory: &Inventory) -> Vec<[i32; 3]> {
-        let size = self.size_cells(inventory);
-        let low: [i32; 3] = std::array::from_fn(|k| (self.center_half_units[k] - size[k]) / 2);
+    pub fn filled_cells(&self) -> Vec<[i32; 3]> {
+        let (low, size) = (self.lowest_cell(), self.size_cells());
         let mut cells = Vec::new();
         for x in low[0]..low[0] + size[0] {
             for y in low[1]..low[1] + size[1] {
@@ -35,6 +40,23 @@ impl Placement {
             }
         }
         cells
+    }
+}
+
+/// Returns the size of a structure along x, y, and z, in units.
+pub(crate) fn extent_u(placements: &[Placement]) -> [i32; 3] {
+    std::array::from_fn(|k| {
+        let ends = |sign: i32| placements.iter().map(move |p| p.center_half_units[k] + sign * p.size_cells()[k]);
+        (ends(1).max().unwrap_or(0) - ends(-1).min().unwrap_or(0)) / 2
+    })
+}
+
+/// Moves a structure's lowest corner to the origin.
+pub(crate) fn move_to_origin(placements: &mut [Placement]) {
+    let corner = |p: &Placement, k: usize| p.center_half_units[k] - p.size_cells()[k];
+    let lowest: [i32; 3] = std::array::from_fn(|k| placements.iter().map(|p| corner(p, k)).min().unwrap_or(0));
+    for placement in placements {
+        placement.center_half_units = std::array::from_fn(|k| placement.center_half_units[k] - lowest[k]);
     }
 }
 

@@ -1,6 +1,6 @@
 //! Static stability: the center of mass relative to the convex hull of the ground contacts.
 
-use crate::{Inventory, Placement};
+use crate::Placement;
 
 /// Minimum distance from a blueprint's center of mass to the edge of the support polygon, in units.
 pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
@@ -8,8 +8,8 @@ pub const MIN_SUPPORT_MARGIN_U: f64 = 0.1;
 /// Returns the support margin of a rigid structure: the distance in units from its center of mass to the nearest edge
 /// of the support polygon, negative outside it. Cells at z = 0 touch the ground, and there must be at least one. All
 /// blocks have the same density.
-pub fn support_margin_u(placements: &[Placement], inventory: &Inventory) -> f64 {
-    let cells: Vec<[i32; 3]> = placements.iter().flat_map(|p| p.filled_cells(inventory)).collect();
+pub fn support_margin_u(placements: &[Placement]) -> f64 {
+    let cells: Vec<[i32; 3]> = placements.iter().flat_map(|p| p.filled_cells()).collect();
     let mean = |axis: usize| {
         let sum: i32 = cells.iter().map(|cell| cell[axis]).sum();
         f64::from(sum) / cells.len() as f64 + 0.5
@@ -70,7 +70,7 @@ mod tests {
     #[test]
     fn margin_is_the_distance_to_the_nearest_edge() {
         let check = |placements: &[Placement], expected: f64| {
-            let got = support_margin_u(placements, Inventory::standard());
+            let got = support_margin_u(placements);
             assert!((got - expected).abs() < 1e-12, "{got} is not {expected}");
         };
         check(&[cube(0, 0, 0)], 0.5);

@@ -1,6 +1,7 @@
 //! A static estimate of whether the magnets can carry the structure's weight.
 
 use crate::UNIT_M;
+use crate::pieces::pieces;
 
 /// Weight of one unit cell in newtons: 200 kg/m³ in a cube of 0.1 m at 9.81 m/s², the world's defaults.
 pub const CELL_WEIGHT_N: f64 = 1.962;
@@ -49,35 +50,17 @@ impl Load {
 pub(crate) fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32) -> Option<(usize, Load)> {
     let grounded: Vec<bool> = cells.iter().map(|cells| cells.iter().any(|cell| cell[2] == lowest)).collect();
     joints.iter().enumerate().find_map(|(at, joint)| {
-        let part_of_a = reached(cells.len(), joints, at);
-        if part_of_a[joint.b] {
+        let others = joints.iter().enumerate().filter(|(i, _)| *i != at);
+        let piece = pieces(cells.len(), others.map(|(_, joint)| (joint.a, joint.b)));
+        if piece[joint.a] == piece[joint.b] {
             return None;
         }
-        [true, false].into_iter().find_map(|side| {
-            let hanging: Vec<usize> = (0..cells.len()).filter(|&i| part_of_a[i] == side).collect();
+        [true, false].into_iter().find_map(|is_with_a| {
+            let hanging: Vec<usize> = (0..cells.len()).filter(|&i| (piece[i] == piece[joint.a]) == is_with_a).collect();
             let load = load_of(&hanging, cells, joint);
             (!hanging.iter().any(|&i| grounded[i]) && load.is_excessive()).then_some((at, load))
         })
     })
-}
-
-/// Returns which blocks stay connected to the first block of the joint at `without` when that joint is removed.
-fn reached(n_blocks: usize, joints: &[Joint], without: usize) -> Vec<bool> {
-    let mut reached = vec![false; n_blocks];
-    let mut frontier = vec![joints[without].a];
-    reached[joints[without].a] = true;
-    while let Some(at) = frontier.pop() {
-        for (_, joint) in
-            joints.iter().enumerate().filter(|&(i, joint)| i != without && (joint.a == at || joint.b == at))
-        {
-            let next = if joint.a == at { joint.b } else { joint.a };
-            if !reached[next] {
-                reached[next] = true;
-                frontier.push(next);
-            }
-        }
-    }
-    reached
 }
 
 fn load_of(hanging: &[usize], cells: &[Vec<[i32; 3]>], joint: &Joint) -> Load {

@@ -6,8 +6,13 @@ use crate::format::MagnetName;
 use crate::{Blueprint, Inventory};
 
 /// Block names in written files, by type name; other types use the type name.
-pub(crate) const NAMES: [(&str, &str); 6] =
+const NAMES: [(&str, &str); 6] =
     [("1x1x1", "cube"), ("2x1x1", "brick"), ("3x1x1", "bar"), ("4x1x1", "beam"), ("2x2x1", "tile"), ("3x2x1", "slab")];
+
+/// Returns the everyday word for a type of block, for example `cube`.
+pub fn word(type_name: &str) -> &str {
+    NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
+}
 
 impl Blueprint {
     /// Returns the text of the blueprint's file; `provenance` states the origin of the structure.
@@ -16,7 +21,7 @@ impl Blueprint {
     /// of every type, as every blueprint from a file does. After [`permuted`](Self::permuted), the text parses as the
     /// same structure on the first blocks.
     pub fn to_toml(&self, provenance: &str) -> String {
-        self.to_toml_with(&self.block_names(Inventory::standard()), provenance)
+        self.to_toml_with(&self.block_names(), provenance)
     }
 
     /// Like [`to_toml`](Self::to_toml), with other block names, in the order of the placements.
@@ -31,8 +36,7 @@ impl Blueprint {
         }
         text.push_str("up = \"+z\"\n\nblocks = [\n");
         for (name, placement) in names.iter().zip(self.placements()) {
-            let size = placement.size_cells(inventory);
-            let at: [i32; 3] = std::array::from_fn(|k| (placement.center_half_units[k] - size[k]) / 2);
+            let at = placement.lowest_cell();
             let (type_name, axes) = (&inventory.block_type(placement.block).name, placement.rotation.axes());
             let name = format!("{name},");
             let _ = writeln!(
@@ -44,9 +48,8 @@ impl Blueprint {
         text.push_str("]\n\nconnections = [\n");
         let name = |block| &names[self.placements().iter().take_while(|p| p.block != block).count()];
         for link in self.links() {
-            let magnet = |block, k: usize| MagnetName::of(inventory, block, &inventory.magnets(block)[k]);
             let pairs: Vec<String> = (inventory.magnet_pairs(link.a, link.b, link.relative).into_iter())
-                .map(|(p, q)| format!("\"{} {}\"", magnet(link.a, p), magnet(link.b, q)))
+                .map(|(p, q)| format!("\"{} {}\"", MagnetName::of(link.a, p), MagnetName::of(link.b, q)))
                 .collect();
             let _ = write!(text, "    {{ a = {}, b = {}, magnets = [", name(link.a), name(link.b));
             match &pairs[..] {
@@ -64,13 +67,17 @@ impl Blueprint {
     }
 
     /// Returns a name for each placement: the name of its type, numbered from 1 if the type occurs more than once.
-    fn block_names(&self, inventory: &Inventory) -> Vec<String> {
+    fn block_names(&self) -> Vec<String> {
+        let inventory = Inventory::standard();
         let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
-        let word = |name: &str| NAMES.iter().find(|(of, _)| *of == name).map_or(name, |(_, word)| word).to_owned();
         (0..types.len())
             .map(|i| {
                 let same = |range: &[&str]| range.iter().filter(|name| **name == types[i]).count();
-                if same(&types) == 1 { word(types[i]) } else { format!("{}-{}", word(types[i]), same(&types[..=i])) }
+                if same(&types) == 1 {
+                    word(types[i]).to_owned()
+                } else {
+                    format!("{}-{}", word(types[i]), same(&types[..=i]))
+                }
             })
             .collect()
     }

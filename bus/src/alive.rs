@@ -104,23 +104,20 @@ impl Bus {
     pub async fn alive(&self, role: Role) -> Result<AliveWatch, BusError> {
         let (sender, names) = watch::channel(BTreeSet::new());
         let prefix = keys::live(role, "");
-        let counters = self.counters.clone();
+        let counts = self.counts.clone();
         let subscriber = self
             .session
             .liveliness()
             .declare_subscriber(keys::live_all(role))
             .history(true)
             .callback(move |sample| {
-                let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| keys::is_valid_run(name));
-                let Some(name) = name else {
-                    counters.tokens_invalid.add_one();
+                let is_put = sample.kind() == SampleKind::Put;
+                let has_room = !is_put || sender.borrow().len() < MAX_NAMES;
+                let name = sample.key_expr().as_str().strip_prefix(&prefix);
+                let Some(name) = name.filter(|name| has_room && keys::is_valid_run(name)) else {
+                    counts.lock().tokens_invalid_total += 1;
                     return;
                 };
-                let is_put = sample.kind() == SampleKind::Put;
-                if is_put && sender.borrow().len() >= MAX_NAMES {
-                    counters.tokens_invalid.add_one();
-                    return;
-                }
                 sender
                     .send_if_modified(|names| if is_put { names.insert(name.to_owned()) } else { names.remove(name) });
             })

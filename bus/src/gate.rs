@@ -51,7 +51,6 @@ pub(super) struct Gate {
     /// Bound, and not yet admitting.
     listeners: Mutex<Vec<Listener>>,
     quic: Vec<quinn::Endpoint>,
-    is_router: bool,
     /// Holds the sockets, and goes with this.
     _room: TempDir,
     tasks: TaskTracker,
@@ -96,7 +95,7 @@ impl Gate {
         let hall = Arc::new(Hall::new(inner, limit, tasks.clone()));
         let quic = listeners.iter().filter_map(Listener::quic).collect();
         let listeners = Mutex::new(listeners);
-        Ok(Some(Self { listen, connect, hall, listeners, quic, is_router, _room: room, tasks, closing }))
+        Ok(Some(Self { listen, connect, hall, listeners, quic, _room: room, tasks, closing }))
     }
 
     /// Begins to admit processes, as soon as zenoh listens.
@@ -114,7 +113,7 @@ impl Gate {
 
     /// What became of connections, if others can connect.
     pub(super) fn counts(&self) -> Option<JoinCounts> {
-        self.is_router.then(|| self.hall.counts())
+        (!self.listen.is_empty()).then(|| self.hall.counts())
     }
 
     /// Ends everything, after the session has closed: the rest of what it wrote still leaves.

@@ -5,6 +5,7 @@ mod repeats;
 
 use std::sync::Arc;
 
+use parking_lot::Mutex;
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -12,7 +13,6 @@ use zenoh::query::{Query, Queryable};
 
 use self::names::Names;
 use self::repeats::{Repeats, Seen};
-use super::counters::IngestCounters;
 use super::refusals::Refusals;
 use super::sender::ACK_SCHEMA;
 use super::{Bus, BusError};
@@ -27,7 +27,7 @@ const INGEST_QUEUE: usize = 256;
 /// Serves the trajectories of all actors until dropped.
 #[derive(Debug)]
 pub struct TrajectoryServer {
-    counters: Arc<IngestCounters>,
+    counts: Arc<Mutex<IngestCounts>>,
     queryable: Queryable<()>,
     _worker: AbortOnDropHandle<()>,
     _open: Bus,
@@ -50,12 +50,12 @@ impl Bus {
         F: Fn(Trajectory) -> Result<(), Refusal> + Send + Sync + 'static,
     {
         let (queue, mut queries) = mpsc::channel::<Query>(INGEST_QUEUE);
-        let counters = Arc::new(IngestCounters::default());
+        let counts: Arc<Mutex<IngestCounts>> = Arc::default();
         let (names, repeats) = (Names::follow(self).await?, Repeats::default());
         let refusals = Refusals::start();
         let inlet =
-            Inlet { queue, counters: counters.clone(), refusals: refusals.clone(), version: current_version.clone() };
-        let mut server = Server { handler, current_version, counters: counters.clone(), names, repeats };
+            Inlet { queue, counts: counts.clone(), refusals: refusals.clone(), version: current_version.clone() };
+        let mut server = Server { handler, current_version, counts: counts.clone(), names, repeats };
         let queryable = self
             .session
             .declare_queryable(keys::INGEST_ALL)
@@ -73,14 +73,14 @@ impl Bus {
                 }
             }
         }));
-        Ok(TrajectoryServer { counters, queryable, _worker: worker, _open: self.clone() })
+        Ok(TrajectoryServer { counts, queryable, _worker: worker, _open: self.clone() })
     }
 }
 
 impl TrajectoryServer {
     /// Returns the number of trajectories so far, by result.
     pub fn counts(&self) -> IngestCounts {
-        self.counters.counts()
+        *self.counts.lock()
     }
 
     /// Stops the server: actors see at once that no learner is present.
@@ -95,23 +95,23 @@ impl TrajectoryServer {
 /// Turns away what is not worth decoding.
 struct Inlet {
     queue: mpsc::Sender<Query>,
-    counters: Arc<IngestCounters>,
+    counts: Arc<Mutex<IngestCounts>>,
     refusals: Refusals,
     version: watch::Receiver<WeightsVersion>,
 }
 
 impl Inlet {
     fn pass(&self, query: Query) {
-        self.counters.received.add_one();
+        self.counts.lock().received_total += 1;
         let (query, refusal) = match check_header(&query) {
             Err(reason) => {
-                count_invalid(&self.counters, &query, &reason);
+                count_invalid(&mut self.counts.lock(), &query, &reason);
                 (query, Refusal::Invalid(reason))
             }
             Ok(()) => match self.queue.try_send(query) {
                 Ok(()) => return,
                 Err(mpsc::error::TrySendError::Full(query) | mpsc::error::TrySendError::Closed(query)) => {
-                    self.counters.full.add_one();
+                    self.counts.lock().full_total += 1;
                     (query, Refusal::Full)
                 }
             },
@@ -136,9 +136,10 @@ fn check_key(query: &Query, actor: &str) -> Result<(), String> {
 }
 
 /// Counts an invalid message, and logs the first.
-fn count_invalid(counters: &IngestCounters, query: &Query, reason: &str) {
+fn count_invalid(counts: &mut IngestCounts, query: &Query, reason: &str) {
     let key = query.key_expr();
-    if counters.invalid.number_one() == 0 {
+    counts.invalid_total += 1;
+    if counts.invalid_total == 1 {
         tracing::warn!(%key, reason, "an invalid trajectory was refused; more are only counted");
     } else {
         tracing::debug!(%key, reason, "invalid trajectory");
@@ -148,7 +149,7 @@ fn count_invalid(counters: &IngestCounters, query: &Query, reason: &str) {
 struct Server<F> {
     handler: F,
     current_version: watch::Receiver<WeightsVersion>,
-    counters: Arc<IngestCounters>,
+    counts: Arc<Mutex<IngestCounts>>,
     names: Names,
     repeats: Repeats,
 }
@@ -157,13 +158,14 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
     /// Decides on one message and counts the decision.
     fn decide(&mut self, query: &Query) -> Result<(), Refusal> {
         let decision = self.accept(query);
+        let mut counts = self.counts.lock();
         match &decision {
-            Ok(Taken::Now) => self.counters.accepted.add_one(),
-            Ok(Taken::Before) => self.counters.duplicates.add_one(),
-            Err(Refusal::Stale) => self.counters.stale.add_one(),
-            Err(Refusal::Full) => self.counters.full.add_one(),
-            Err(Refusal::NameTaken) => self.counters.name_taken.add_one(),
-            Err(Refusal::Invalid(reason)) => count_invalid(&self.counters, query, reason),
+            Ok(Taken::Now) => counts.accepted_total += 1,
+            Ok(Taken::Before) => counts.duplicates_total += 1,
+            Err(Refusal::Stale) => counts.stale_total += 1,
+            Err(Refusal::Full) => counts.full_total += 1,
+            Err(Refusal::NameTaken) => counts.name_taken_total += 1,
+            Err(Refusal::Invalid(reason)) => count_invalid(&mut counts, query, reason),
         }
         decision.map(drop)
     }

@@ -2,6 +2,7 @@
 
 use parking_lot::Mutex;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use tokio::sync::{Semaphore, mpsc};
 use tokio::time::{Duration, Instant};
@@ -9,12 +10,12 @@ use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::{Query, Queryable};
 
-use super::counters::BusCounters;
 use super::refusals::Refusals;
 use super::turns::Turns;
 use super::{Bus, BusError};
 use proto::WeightsVersion;
 use proto::codec::{Refusal, Refused};
+use proto::metrics::BusCounts;
 use tokio_util::task::AbortOnDropHandle;
 
 /// Maximum number of waiting queries: as many as a router has sessions.
@@ -45,7 +46,7 @@ pub(super) struct Latest {
 #[derive(Debug)]
 struct Desk {
     state: Mutex<State>,
-    counters: Arc<BusCounters>,
+    counts: Arc<Mutex<BusCounts>>,
 }
 
 #[derive(Debug)]
@@ -60,7 +61,7 @@ struct State {
 impl Bus {
     /// Returns a new sender of queries to [`Latest`].
     pub(super) fn asker(&self) -> Asker {
-        let name = format!("{NAME}={}-{}", self.session.zid(), self.counters.askers.number_one());
+        let name = format!("{NAME}={}-{}", self.session.zid(), self.n_askers.fetch_add(1, Ordering::Relaxed));
         Asker { name, next_query: self.next_query.clone() }
     }
 }
@@ -92,7 +93,7 @@ impl Latest {
     pub(super) async fn declare(bus: &Bus, key: String, encoding: Encoding) -> Result<Self, BusError> {
         let (queue, queries) = mpsc::channel::<Query>(QUEUE);
         let state = State { value: None, number: 0, turns: Turns::new(Instant::now()) };
-        let desk = Arc::new(Desk { state: Mutex::new(state), counters: bus.counters.clone() });
+        let desk = Arc::new(Desk { state: Mutex::new(state), counts: bus.counts.clone() });
         let (shared, refusals) = (desk.clone(), Refusals::start());
         let queryable = bus
             .session
@@ -121,7 +122,7 @@ impl Desk {
     /// Puts a query into the queue, or returns it and why it is refused. Counts refusals.
     fn admit(&self, query: Query, queue: &mpsc::Sender<Query>) -> Option<(Query, Refusal)> {
         if query.payload().is_some_and(|payload| !payload.is_empty()) {
-            self.counters.queries_invalid.add_one();
+            self.counts.lock().queries_invalid_total += 1;
             let refusal = Refusal::Invalid(format!("a query for {} has no payload", query.key_expr()));
             return Some((query, refusal));
         }
@@ -139,7 +140,9 @@ impl Desk {
             query
         };
         drop(state);
-        if self.counters.queries_dropped.number_one() == 0 {
+        let mut counts = self.counts.lock();
+        counts.queries_dropped_total += 1;
+        if counts.queries_dropped_total == 1 {
             let key = refused.key_expr();
             tracing::warn!(%key, "a query was refused, because too many come; more are only counted");
         }

@@ -15,7 +15,6 @@
 mod access;
 mod alive;
 mod config;
-mod counters;
 mod error;
 mod gate;
 mod history;

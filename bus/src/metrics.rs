@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Weak};
 
+use parking_lot::Mutex;
 use serde::Serialize;
 use tokio::sync::mpsc;
 use zenoh::bytes::{Encoding, ZBytes};
@@ -10,10 +11,10 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::Sample;
 
-use super::counters::BusCounters;
 use super::latest::{Asker, Latest};
 use super::{Bus, BusError};
 use proto::keys;
+use proto::metrics::BusCounts;
 
 /// Maximum number of samples that wait for a reader.
 const QUEUE: usize = 4096;
@@ -73,7 +74,7 @@ impl Bus {
     pub async fn metrics_subscriber(&self, suffix: &str) -> Result<MetricsSubscriber, BusError> {
         let key = keys::metrics(suffix);
         let (sender, samples) = mpsc::channel(QUEUE);
-        let inbox = Arc::new(Inbox { sender, counters: self.counters.clone() });
+        let inbox = Arc::new(Inbox { sender, counts: self.counts.clone() });
         let live = inbox.clone();
         let subscriber = self
             .session
@@ -143,18 +144,18 @@ impl MetricsSubscriber {
 #[derive(Debug)]
 struct Inbox {
     sender: mpsc::Sender<MetricsSample>,
-    counters: Arc<BusCounters>,
+    counts: Arc<Mutex<BusCounts>>,
 }
 
 impl Inbox {
     fn push(&self, sample: &Sample) {
         // Reserve a slot first: what will be dropped need not be parsed.
         let Ok(slot) = self.sender.try_reserve() else {
-            self.counters.metrics_dropped.add_one();
+            self.counts.lock().metrics_dropped_total += 1;
             return;
         };
         let Ok(value) = serde_json::from_slice(&sample.payload().to_bytes()) else {
-            self.counters.metrics_invalid.add_one();
+            self.counts.lock().metrics_invalid_total += 1;
             tracing::debug!(key = %sample.key_expr(), "metrics that are not JSON");
             return;
         };

@@ -1,6 +1,6 @@
 //! Heartbeat of a service's main loop, for health checks.
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use proto::metrics::NotSaved;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -37,7 +37,7 @@ impl Default for Pulse {
 impl Pulse {
     /// Records an iteration of the loop.
     pub fn beat(&self) {
-        *self.last() = Instant::now();
+        *self.0.last.lock() = Instant::now();
     }
 
     /// Marks the loop as waiting for others from now on.
@@ -48,7 +48,7 @@ impl Pulse {
 
     /// Returns the time since the last beat; zero while the loop waits for others.
     pub fn age(&self) -> Duration {
-        if self.0.n_waiting.load(Ordering::Relaxed) > 0 { Duration::ZERO } else { self.last().elapsed() }
+        if self.0.n_waiting.load(Ordering::Relaxed) > 0 { Duration::ZERO } else { self.0.last.lock().elapsed() }
     }
 
     /// Records that the service waits because nothing can be saved, or no longer does.
@@ -59,11 +59,6 @@ impl Pulse {
     /// Returns why the service waits, if nothing can be saved.
     pub fn not_saved(&self) -> Option<NotSaved> {
         self.0.not_saved.lock().clone()
-    }
-
-    fn last(&self) -> MutexGuard<'_, Instant> {
-        // Every statement leaves the time consistent.
-        self.0.last.lock()
     }
 }
 

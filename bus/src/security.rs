@@ -134,24 +134,15 @@ impl Keys {
 
 /// Returns whether other machines can reach the endpoint, for example `tcp/0.0.0.0:7447`.
 pub(super) fn is_reachable(endpoint: &str) -> bool {
-    let (protocol, address) = endpoint.split_once('/').unwrap_or((endpoint, ""));
-    if protocol == "unixsock-stream" {
-        return false;
-    }
-    let address = address.split(['?', '#']).next().unwrap_or_default();
-    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
-    let host = host.trim_start_matches('[').trim_end_matches(']');
-    let is_loopback = host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
-    !is_loopback
+    let is_loopback =
+        |host: &str| host.eq_ignore_ascii_case("localhost") || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
+    !is_unix(endpoint) && address(endpoint).is_none_or(|(host, _)| !is_loopback(host))
 }
 
 /// Returns whether the text is an endpoint with a supported protocol.
 pub(super) fn is_endpoint(text: &str) -> bool {
     match text.split_once('/') {
-        Some(("tcp" | "quic" | "tls", address)) => {
-            let address = address.split(['?', '#']).next().unwrap_or_default();
-            address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
-        }
+        Some(("tcp" | "quic" | "tls", _)) => host_and_port(text).is_some_and(|(host, _)| !host.is_empty()),
         Some(("unixsock-stream", path)) => !path.is_empty(),
         _ => false,
     }
@@ -159,10 +150,7 @@ pub(super) fn is_endpoint(text: &str) -> bool {
 
 /// Returns whether the system chooses the endpoint's port.
 pub(super) fn has_any_port(endpoint: &str) -> bool {
-    let address = endpoint.split(['?', '#']).next().unwrap_or_default();
-    is_endpoint(endpoint)
-        && !endpoint.starts_with("unixsock-stream/")
-        && address.rsplit_once(':').is_some_and(|(_, port)| port.parse() == Ok(0_u16))
+    is_endpoint(endpoint) && !is_unix(endpoint) && address(endpoint).is_some_and(|(_, port)| port == 0)
 }
 
 /// Returns whether the endpoint is encrypted.
@@ -175,11 +163,20 @@ pub(super) fn is_tls(endpoint: &str) -> bool {
     endpoint.starts_with("tls/")
 }
 
-/// Splits an endpoint into host and port.
+fn is_unix(endpoint: &str) -> bool {
+    endpoint.starts_with("unixsock-stream/")
+}
+
+/// Splits an endpoint into host and port. An IPv6 address has no brackets.
 pub(super) fn address(endpoint: &str) -> Option<(&str, u16)> {
+    let (host, port) = host_and_port(endpoint)?;
+    Some((host.trim_start_matches('[').trim_end_matches(']'), port))
+}
+
+fn host_and_port(endpoint: &str) -> Option<(&str, u16)> {
     let (_, address) = endpoint.split_once('/')?;
     let (host, port) = address.split(['?', '#']).next()?.rsplit_once(':')?;
-    Some((host.trim_start_matches('[').trim_end_matches(']'), port.parse().ok()?))
+    Some((host, port.parse().ok()?))
 }
 
 fn read(path: &Path) -> Result<String, KeysError> {

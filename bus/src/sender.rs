@@ -89,7 +89,7 @@ impl TrajectorySender {
         }
         let payload = ZBytes::from(bytes);
         if self.0.viewers_there.is_matching() && self.0.viewers.put(payload.clone()).await.is_err() {
-            self.0.bus.counters.views_failed.add_one();
+            self.0.bus.counts.lock().views_failed_total += 1;
         }
         if !self.0.learner_there.is_matching() {
             return Err(SendError::NoLearner);

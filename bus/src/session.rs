@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use parking_lot::Mutex;
@@ -9,7 +10,6 @@ use tokio::sync::oneshot;
 use tokio::time::Instant;
 use zenoh::Wait;
 
-use super::counters::BusCounters;
 use super::gate::Gate;
 use super::{BusConfig, BusError, BusMode, JoinCounts, Pulse};
 use proto::metrics::BusCounts;
@@ -27,7 +27,9 @@ const CLOSE_LIMIT_ALONE: Duration = Duration::from_millis(250);
 pub struct Bus {
     pub(super) session: zenoh::Session,
     pub(super) config: Valid<BusConfig>,
-    pub(super) counters: Arc<BusCounters>,
+    pub(super) counts: Arc<Mutex<BusCounts>>,
+    /// Names given to senders of queries.
+    pub(super) n_askers: Arc<AtomicU64>,
     pub(super) pulse: Pulse,
     pub(super) gate: Option<Arc<Gate>>,
     /// Time of the next query for a newest value.
@@ -73,9 +75,9 @@ impl Bus {
         if let Some(gate) = &gate {
             gate.open();
         }
-        let (config, counters, pulse) = (config.clone(), Arc::default(), Pulse::default());
+        let (config, counts, n_askers, pulse) = (config.clone(), Arc::default(), Arc::default(), Pulse::default());
         let next_query = Arc::new(Mutex::new(Instant::now()));
-        Ok(Self { session, config, counters, pulse, gate, next_query })
+        Ok(Self { session, config, counts, n_askers, pulse, gate, next_query })
     }
 
     /// Opens a router that can only be reached through a Unix socket in `dir`, for tests.
@@ -88,7 +90,7 @@ impl Bus {
 
     /// Returns the number of messages that this session has dropped so far, by reason.
     pub fn counts(&self) -> BusCounts {
-        self.counters.counts()
+        *self.counts.lock()
     }
 
     /// Returns what became of the connections to this process, if it is a router with keys.
@@ -113,7 +115,7 @@ impl Bus {
 
     /// Counts weights that this process received but cannot use. Call it once for each.
     pub fn count_refused_weights(&self) {
-        self.counters.weights_refused.add_one();
+        self.counts.lock().weights_refused_total += 1;
     }
 
     /// Returns whether this process reaches the others now: a router always does, a client while it has its router.

@@ -26,16 +26,19 @@ impl Bus {
     pub async fn trajectory_viewer(&self, actor: Option<&ActorId>) -> Result<TrajectoryViewer, BusError> {
         let key = actor.map_or_else(|| keys::TRAJECTORIES_ALL.to_owned(), keys::trajectories);
         let (sender, trajectories) = mpsc::channel(QUEUE);
-        let counters = self.counters.clone();
+        let counts = self.counts.clone();
         let subscriber = self
             .session
             .declare_subscriber(key.clone())
             .callback(move |sample| {
                 // Reserve a slot first: a trajectory that will be dropped need not be decoded.
-                let Ok(slot) = sender.try_reserve() else { return counters.viewed_dropped.add_one() };
+                let Ok(slot) = sender.try_reserve() else {
+                    counts.lock().viewed_dropped_total += 1;
+                    return;
+                };
                 match decode_trajectory(&sample.payload().to_bytes()) {
                     Ok(trajectory) => slot.send(trajectory),
-                    Err(_) => counters.viewed_invalid.add_one(),
+                    Err(_) => counts.lock().viewed_invalid_total += 1,
                 }
             })
             .await

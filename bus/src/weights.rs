@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::handlers::{RingChannel, RingChannelHandler};
@@ -11,7 +12,6 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, Querier};
 use zenoh::sample::Sample;
 
-use super::counters::BusCounters;
 use super::latest::{Asker, Latest};
 use super::matching::Matching;
 use super::sender::REFUSAL_SCHEMA;
@@ -19,6 +19,7 @@ use super::{Bus, BusError, process_epoch_ms};
 use proto::codec::{
     MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice, encode_weights,
 };
+use proto::metrics::BusCounts;
 use proto::{Weights, keys};
 use tokio_util::task::AbortOnDropHandle;
 
@@ -129,9 +130,8 @@ impl Bus {
         let learner = Arc::new(querier);
         let learner_there = Matching::of_querier(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
-        let counters = self.counters.clone();
-        let asker = self.asker();
-        let puller = Puller { learner, learner_there, asker, notices, counters, held: None, keep, sender };
+        let (counts, asker) = (self.counts.clone(), self.asker());
+        let puller = Puller { learner, learner_there, asker, notices, counts, held: None, keep, sender };
         Ok(WeightsSubscriber {
             weights,
             _worker: AbortOnDropHandle::new(tokio::spawn(puller.run())),
@@ -168,11 +168,10 @@ impl<T> WeightsSubscriber<T> {
 enum Pulled {
     /// The newest weights are here, or are invalid and would be the same after a retry.
     Done,
-    /// There was no reply: the learner has no weights yet, or a router on the way does not know the learner yet or drops
-    /// what exceeds its limit.
+    /// There was no reply, because the learner has no weights yet, or a router on the way does not know the learner yet
+    /// or drops what exceeds its limit; or the learner refuses the pull, because too many are waiting, or it has just
+    /// answered another of this process.
     Nothing,
-    /// The learner refuses the pull: too many are waiting, or it has just answered another of this process.
-    Refused,
     /// The session or the reply failed.
     Failed,
 }
@@ -183,7 +182,7 @@ struct Puller<T> {
     learner_there: Matching,
     asker: Asker,
     notices: Subscriber<RingChannelHandler<Sample>>,
-    counters: Arc<BusCounters>,
+    counts: Arc<Mutex<BusCounts>>,
     /// The notice that corresponds to the held weights.
     held: Option<WeightsNotice>,
     keep: fn(Weights) -> T,
@@ -199,8 +198,8 @@ impl<T: Send + Sync + 'static> Puller<T> {
             if wanted {
                 match self.pull().await {
                     Pulled::Done => wanted = false,
-                    Pulled::Nothing | Pulled::Refused => pause = nothing_pause(),
-                    Pulled::Failed => self.counters.pulls_failed.add_one(),
+                    Pulled::Nothing => pause = nothing_pause(),
+                    Pulled::Failed => self.counts.lock().pulls_failed_total += 1,
                 }
             }
             tokio::select! {
@@ -224,7 +223,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
         match decode_notice(&notice.payload().to_bytes()) {
             Ok(notice) => self.held.is_none_or(|held| held.epoch != notice.epoch || held.version < notice.version),
             Err(error) => {
-                self.counters.notices_invalid.add_one();
+                self.counts.lock().notices_invalid_total += 1;
                 tracing::debug!(%error, "invalid notice of weights");
                 false
             }
@@ -239,7 +238,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
         let sample = match reply.result() {
             Ok(sample) => sample,
             Err(error) if *error.encoding() == Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA) => {
-                return Pulled::Refused;
+                return Pulled::Nothing;
             }
             Err(_) => return Pulled::Failed,
         };
@@ -253,7 +252,7 @@ impl<T: Send + Sync + 'static> Puller<T> {
             }
             Err(error) => {
                 // A retry would return the same bytes, so wait for the next notice.
-                self.counters.weights_invalid.add_one();
+                self.counts.lock().weights_invalid_total += 1;
                 tracing::warn!(%error, "invalid weights");
             }
         }

@@ -277,7 +277,7 @@ impl<'a> View<'a> {
         }
         let mut cells: [Vec<Cell>; N] = Default::default();
         for placement in blueprint.placements() {
-            cells[pieces[placement.block.get()]].extend(placement.filled_cells(Inventory::standard()));
+            cells[pieces[placement.block.get()]].extend(placement.filled_cells());
         }
         let mut held = [false; N];
         scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);

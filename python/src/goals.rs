@@ -121,11 +121,8 @@ fn texts(own: &Catalog) -> impl Iterator<Item = String> {
 /// # Errors
 /// Returns an error if another structure, of the catalog or among the goals, has the same id.
 fn add(own: &Catalog, ids: &mut Vec<BlueprintId>, catalog: &mut Catalog) -> Result<(), GoalError> {
-    for blueprint in own.iter() {
-        let other = catalog.find(blueprint.id()).map(|other| other.canonical_hash());
-        if other.is_some_and(|other| other != blueprint.canonical_hash()) {
-            return Err(GoalError::Repeated(blueprint.id().clone()));
-        }
+    if let Some(blueprint) = own.iter().find(|blueprint| catalog.namesake(blueprint).is_some()) {
+        return Err(GoalError::Repeated(blueprint.id().clone()));
     }
     ids.extend(own.iter().map(Blueprint::id).cloned());
     *catalog = catalog.with(own);

@@ -35,24 +35,10 @@ pub(crate) enum ModelError {
     Version(u32),
     /// The tensors are not those that were exported.
     #[error("the digest of its tensors is {found} instead of {expected}")]
-    Digest {
-        /// Digest of the tensors.
-        found: String,
-        /// Digest in the metadata.
-        expected: String,
-    },
+    Digest { found: String, expected: String },
     /// A tensor does not match the table.
     #[error("tensor {name} is {dtype:?} {shape:?}, its table says F32 {expected:?}")]
-    Tensor {
-        /// Name of the tensor.
-        name: String,
-        /// Type of the tensor.
-        dtype: Dtype,
-        /// Shape of the tensor.
-        shape: Vec<usize>,
-        /// Shape in the table.
-        expected: Vec<usize>,
-    },
+    Tensor { name: String, dtype: Dtype, shape: Vec<usize>, expected: Vec<usize> },
 }
 
 /// A frozen policy: its configuration and its weights.

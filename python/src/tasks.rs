@@ -57,12 +57,7 @@ pub(crate) enum StartsError {
     Prebuilt(String, #[source] Box<GoalError>),
     /// The weight is invalid.
     #[error("the weight of start {start:?} is {weight}: expected a finite number that is not negative")]
-    Weight {
-        /// The start rule.
-        start: String,
-        /// The weight.
-        weight: f64,
-    },
+    Weight { start: String, weight: f64 },
     /// No rule can be drawn.
     #[error("starts has no positive weight: expected at least one")]
     Empty,

@@ -1,7 +1,7 @@
 //! Contacts, approach paths, and support of boxes on the lattice.
 
 use crate::stance::support_margin;
-use crate::{Inventory, N_BLOCKS, Placement};
+use crate::{N_BLOCKS, Placement};
 
 /// Minimum approach length in half units; a path starts out of reach of every magnet but its targets.
 const MIN_APPROACH: i32 = 3;
@@ -242,7 +242,7 @@ impl Geometry {
 
 impl Box3 {
     fn of(placement: &Placement) -> Self {
-        let size = placement.size_cells(Inventory::standard());
+        let size = placement.size_cells();
         let corner = |sign: i32| std::array::from_fn(|k| placement.center_half_units[k] + sign * size[k]);
         Self { low: corner(-1), high: corner(1) }
     }

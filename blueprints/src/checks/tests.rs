@@ -7,10 +7,9 @@ use crate::assembly::tests::jack;
 fn assembly_error_names_the_unplaced_blocks() {
     // No file can isolate this failure: a structure that cannot be assembled is also too weak for its magnets.
     let placements = jack();
-    let inventory = Inventory::standard();
     let id: BlueprintId = "7_999".parse().unwrap();
-    let draft = Draft::of_placements(id, Split::Train, "jack".to_owned(), &placements, inventory);
-    let error = Structure::new(&draft, &placements, inventory).assembly().unwrap_err();
+    let draft = Draft::of_placements(id, Split::Train, "jack".to_owned(), &placements);
+    let error = Structure::new(&draft, &placements).assembly().unwrap_err();
     let BlueprintError::NoAssembly { blocks, gave_up: false } = &error else { panic!("{error}") };
     assert!(!blocks.is_empty() && blocks.iter().all(|name| draft.blocks.iter().any(|b| b.name == *name)), "{error}");
 }
@@ -78,7 +77,9 @@ fn what_hangs_on_a_repelling_block_is_not_too_heavy() {
 
 #[test]
 fn blocks_without_axes_are_not_told_to_leave_them_out() {
-    // Crossed slabs held by a beam and a tile: no rotations fit.
+    // Crossed slabs held by a beam and a tile: no rotations fit. A 3x2x1 that lies across another one has an odd
+    // permutation of its axes and needs one different sign, but along every axis the two touch each other or a third
+    // block, and so share the sign.
     let blocks = "{ name = \"a\", type = \"3x2x1\", at = [0, 0, 0], size = [3, 2, 1] },\n\
                   { name = \"b\", type = \"3x2x1\", at = [0, 2, 0], size = [2, 3, 1] },\n\
                   { name = \"c\", type = \"4x1x1\", at = [-1, 0, 0], size = [1, 4, 1] },\n\

@@ -74,7 +74,7 @@ fn free_blocks_turn_until_poles_meet() {
         free("3x2x1", [1, 0, 0], "-x +y"),
     ]);
     drawn.turn_free_blocks().unwrap();
-    assert_eq!(drawn.blocks[0].axes(), "+x +y", "it is not free");
+    assert_eq!(drawn.blocks[0].rotation.axes(), "+x +y", "it is not free");
     let found = drawn.examine().unwrap();
     assert!(found.problems.iter().all(|problem| problem.check != Check::Polarity), "{:?}", found.problems);
     assert_eq!(found.connections.len(), 2);

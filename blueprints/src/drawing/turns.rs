@@ -8,6 +8,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::pieces::pieces;
 use crate::{CubeRotation, Inventory, Placement};
 
 /// Number of combinations of three signs. A block with two equal sides reaches all of them.
@@ -17,13 +18,13 @@ const N_COMBINATIONS: usize = 8;
 pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRotation> {
     let inventory = Inventory::standard();
     let mut turns: Vec<CubeRotation> = placements.iter().map(|p| p.rotation).collect();
-    let pieces = pieces(placements, inventory);
-    let mut signs = [0, 1, 2].map(|k| turns.iter().map(|turn| signs_of(*turn)[k]).collect::<Vec<i32>>());
+    let pieces = pieces_by_axis(placements);
+    let mut signs = [0, 1, 2].map(|k| turns.iter().map(|turn| turn.signs()[k]).collect::<Vec<i32>>());
     let mut settled = [(); 3].map(|()| vec![false; placements.len()]);
     // Iterate backward, so that the first of two conflicting blocks wins.
     for i in (0..placements.len()).rev().filter(|&i| !is_free[i]) {
         for k in 0..3 {
-            signs[k][pieces[k][i]] = signs_of(turns[i])[k];
+            signs[k][pieces[k][i]] = turns[i].signs()[k];
             settled[k][pieces[k][i]] = true;
         }
     }
@@ -37,7 +38,7 @@ pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRo
     for (i, choices) in few.into_iter().chain(all) {
         let own: [usize; 3] = std::array::from_fn(|k| pieces[k][i]);
         let cost = |turn: &CubeRotation| {
-            let differing = || (0..3).filter(|&k| signs_of(*turn)[k] != signs[k][own[k]]);
+            let differing = || (0..3).filter(|&k| turn.signs()[k] != signs[k][own[k]]);
             let n_clashes = differing().filter(|&k| settled[k][own[k]]).count();
             (n_clashes, differing().count(), *turn != placements[i].rotation)
         };
@@ -45,7 +46,7 @@ pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRo
         turns[i] = turn;
         for k in (0..3).filter(|_| choices.len() < N_COMBINATIONS) {
             if !settled[k][own[k]] {
-                signs[k][own[k]] = signs_of(turn)[k];
+                signs[k][own[k]] = turn.signs()[k];
                 settled[k][own[k]] = true;
             }
         }
@@ -53,25 +54,17 @@ pub(super) fn matching(placements: &[Placement], is_free: &[bool]) -> Vec<CubeRo
     turns
 }
 
-/// Returns the signs of the magnets on the +x, +y, and +z faces.
-fn signs_of(turn: CubeRotation) -> [i32; 3] {
-    turn.matrix().map(|row| row.iter().sum())
-}
-
 /// Returns, for each axis and block, the first block of its piece.
-fn pieces(placements: &[Placement], inventory: &Inventory) -> [Vec<usize>; 3] {
+fn pieces_by_axis(placements: &[Placement]) -> [Vec<usize>; 3] {
     let cells = placements.iter().enumerate();
-    let cells = cells.flat_map(|(i, p)| p.filled_cells(inventory).into_iter().map(move |cell| (cell, i)));
+    let cells = cells.flat_map(|(i, p)| p.filled_cells().into_iter().map(move |cell| (cell, i)));
     let filled: BTreeMap<[i32; 3], usize> = cells.collect();
     [0, 1, 2].map(|axis| {
-        let mut piece: Vec<usize> = (0..placements.len()).collect();
-        for (cell, &a) in &filled {
+        let contacts = filled.iter().filter_map(|(cell, &a)| {
             let mut next = *cell;
             next[axis] += 1;
-            let Some(&b) = filled.get(&next) else { continue };
-            let (low, high) = (piece[a].min(piece[b]), piece[a].max(piece[b]));
-            piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
-        }
-        piece
+            Some((a, *filled.get(&next)?))
+        });
+        pieces(placements.len(), contacts)
     })
 }

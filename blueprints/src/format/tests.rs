@@ -95,7 +95,6 @@ fn too_few_and_too_many_blocks_are_counted_in_words() {
 
 #[test]
 fn points_of_placed_blocks_are_found_in_the_file_again() {
-    let inventory = Inventory::standard();
     for up in ["+x", "-x", "+y", "-y", "+z", "-z"] {
         let text = format!(
             "up = \"{up}\"\nblocks = [{{ type = \"3x2x1\", at = [10, -7, 3], axes = \"+y +z\" }}, \
@@ -103,9 +102,9 @@ fn points_of_placed_blocks_are_found_in_the_file_again() {
         );
         let draft = Draft::parse("drawn.toml", &text).unwrap();
         let turns: Vec<CubeRotation> = draft.blocks.iter().filter_map(|block| block.turn).collect();
-        let placements = draft.place(&draft.assign(inventory).unwrap(), &turns, inventory);
+        let placements = draft.place(&draft.assign().unwrap(), &turns);
         // Centers in the file's coordinates: 1 x 3 x 2 cells from [10, -7, 3], and 1 x 1 x 2 from [4, 5, 6].
-        let centers = placements.iter().map(|p| draft.drawn(p.center_half_units, &placements, inventory));
+        let centers = placements.iter().map(|p| draft.drawn(p.center_half_units, &placements));
         assert_eq!(centers.collect::<Vec<_>>(), [[21, -11, 8], [9, 11, 14]], "{up}");
     }
 }

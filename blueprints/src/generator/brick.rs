@@ -1,7 +1,7 @@
 //! Blocks as boxes of cells without magnet polarity, and the stock of available blocks.
 
 use crate::strength::Joint;
-use crate::{BlockIdx, CubeRotation, Inventory, Placement};
+use crate::{CubeRotation, Inventory, Placement};
 
 /// A unit cell by its lowest corner, in units.
 pub(super) type Cell = [i32; 3];
@@ -101,18 +101,13 @@ pub(super) fn placements(bricks: &[Brick], rotations: &[CubeRotation]) -> Vec<Pl
     let inventory = Inventory::standard();
     let mut sorted: Vec<(&Brick, CubeRotation)> = bricks.iter().zip(rotations.iter().copied()).collect();
     sorted.sort_by_key(|(b, _)| (b.type_idx, b.low[2], b.low[1], b.low[0]));
-    let of_type = |t: usize| inventory.blocks_of_type(&inventory.types()[t].name);
-    let block = |i: usize| -> BlockIdx {
-        let n_before = sorted[..i].iter().filter(|(b, _)| b.type_idx == sorted[i].0.type_idx).count();
-        of_type(sorted[i].0.type_idx)[n_before]
+    let mut left: Vec<_> = inventory.types().iter().map(|t| inventory.blocks_of_type(&t.name).into_iter()).collect();
+    let place = |(brick, rotation): (&Brick, CubeRotation)| {
+        let block = left[brick.type_idx].next().expect("the stock has no more blocks than the inventory");
+        let center_half_units = std::array::from_fn(|k| 2 * brick.low[k] + brick.size[k]);
+        Placement { block, center_half_units, rotation }
     };
-    (0..sorted.len())
-        .map(|i| {
-            let (brick, rotation) = sorted[i];
-            let center_half_units = std::array::from_fn(|k| 2 * brick.low[k] + brick.size[k]);
-            Placement { block: block(i), center_half_units, rotation }
-        })
-        .collect()
+    sorted.into_iter().map(place).collect()
 }
 
 impl Stock {

@@ -9,23 +9,20 @@ fn features(blueprint: &Blueprint) -> Vec<f64> {
     let mut features: Vec<f64> = (0..inventory.types().len())
         .map(|t| blueprint.placements().iter().filter(|p| inventory.type_idx(p.block) == t).count() as f64 / n_blocks)
         .collect();
-    let cells: Vec<[i32; 3]> = blueprint.placements().iter().flat_map(|p| p.filled_cells(inventory)).collect();
-    let extent = |axis: usize| {
-        let along = || cells.iter().map(|cell| cell[axis]);
-        f64::from(along().max().unwrap_or(0) - along().min().unwrap_or(0) + 1)
-    };
-    let (long, short) = (extent(0).max(extent(1)), extent(0).min(extent(1)));
+    let cells: Vec<[i32; 3]> = blueprint.placements().iter().flat_map(|p| p.filled_cells()).collect();
+    let [x, y, height] = blueprint.extent_u().map(f64::from);
+    let (long, short) = (x.max(y), x.min(y));
     let n_loops = (blueprint.links().len() + 1) as f64 - n_blocks;
-    let upright = blueprint.placements().iter().filter(|p| p.size_cells(inventory)[2] > 1).count() as f64;
+    let upright = blueprint.placements().iter().filter(|p| p.size_cells()[2] > 1).count() as f64;
     let on_ground = cells.iter().filter(|cell| cell[2] == 0).count() as f64;
     features.extend([
         n_loops / n_blocks,
         upright / n_blocks,
-        extent(2) / (extent(2) + long),
+        height / (height + long),
         short / (short + long),
-        cells.len() as f64 / (long * short * extent(2)),
+        cells.len() as f64 / (long * short * height),
         on_ground / cells.len() as f64,
-        (extent(2) + long) / (2.0 * n_blocks),
+        (height + long) / (2.0 * n_blocks),
     ]);
     features
 }

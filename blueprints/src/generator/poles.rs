@@ -9,6 +9,8 @@
 
 use super::brick::{Brick, Cell};
 use super::dice::Dice;
+use crate::lattice::is_odd;
+use crate::pieces::pieces;
 use crate::strength::Joint;
 use crate::{CubeRotation, Inventory};
 
@@ -36,37 +38,19 @@ pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dic
     bricks.iter().enumerate().map(|(i, brick)| rotation(brick, sign(i), dice)).collect()
 }
 
-/// Returns the lowest node of its connected component, for each of `n` nodes.
-fn pieces(n: usize, edges: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
-    let mut piece: Vec<usize> = (0..n).collect();
-    for (a, b) in edges {
-        let (low, high) = (piece[a].min(piece[b]), piece[a].max(piece[b]));
-        piece.iter_mut().filter(|p| **p == high).for_each(|p| *p = low);
-    }
-    piece
-}
-
 fn own_size(brick: &Brick) -> Cell {
     Inventory::standard().types()[brick.type_idx].cells.map(i32::from)
 }
 
 /// Returns the product of the three signs if it is fixed: the determinant of the permutation of three different sides.
 fn parity(brick: &Brick) -> Option<i32> {
-    let own = own_size(brick);
-    if own[0] == own[1] || own[1] == own[2] || own[0] == own[2] {
-        return None;
-    }
-    // The three cyclic permutations are the even ones.
-    let is_cyclic = (0..3).any(|by| (0..3).all(|k| brick.size[k] == own[(k + by) % 3]));
-    Some(if is_cyclic { 1 } else { -1 })
+    is_odd(own_size(brick), brick.size).map(|is_odd| if is_odd { -1 } else { 1 })
 }
 
 /// Draws a rotation among those that give the brick's size and signs.
 fn rotation(brick: &Brick, signs: [i32; 3], dice: &mut Dice) -> Option<CubeRotation> {
     let own = own_size(brick);
-    let fits = |rotation: &CubeRotation| {
-        rotation.apply(own).map(i32::abs) == brick.size && rotation.matrix().map(|row| row.iter().sum::<i32>()) == signs
-    };
+    let fits = |rotation: &CubeRotation| rotation.apply(own).map(i32::abs) == brick.size && rotation.signs() == signs;
     let fitting: Vec<CubeRotation> = CubeRotation::all().filter(fits).collect();
     (!fitting.is_empty()).then(|| dice.pick(&fitting))
 }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::N_BLOCKS;
 
-/// The style of a generated structure.
+/// The style of a generated structure. Its name, in ids, flags, and JSON, is the variant's in small letters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Style {
@@ -44,7 +44,7 @@ pub enum Style {
 
 /// An unknown style name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a style; the styles are {list}", list = Style::ALL.map(Style::as_str).join(", "))]
+#[error("{0:?} is not a style; the styles are {list}", list = Style::ALL.map(|style| style.to_string()).join(", "))]
 pub struct InvalidStyle(pub String);
 
 impl Style {
@@ -66,26 +66,6 @@ impl Style {
         Self::Tallest,
     ];
 
-    /// Returns the name used in ids and flags.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Any => "any",
-            Self::Tower => "tower",
-            Self::Wall => "wall",
-            Self::Arch => "arch",
-            Self::Bridge => "bridge",
-            Self::Stairs => "stairs",
-            Self::Pyramid => "pyramid",
-            Self::Table => "table",
-            Self::Ring => "ring",
-            Self::Cross => "cross",
-            Self::Letter => "letter",
-            Self::Spine => "spine",
-            Self::Longest => "longest",
-            Self::Tallest => "tallest",
-        }
-    }
-
     /// Returns the numbers of blocks for which the style is recognizable.
     pub fn sizes(self) -> RangeInclusive<usize> {
         let least = match self {
@@ -99,7 +79,7 @@ impl Style {
 
 impl fmt::Display for Style {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.as_str())
+        self.serialize(f)
     }
 }
 
@@ -107,6 +87,6 @@ impl FromStr for Style {
     type Err = InvalidStyle;
 
     fn from_str(text: &str) -> Result<Self, InvalidStyle> {
-        Self::ALL.into_iter().find(|style| style.as_str() == text).ok_or_else(|| InvalidStyle(text.to_owned()))
+        Self::ALL.into_iter().find(|style| style.to_string() == text).ok_or_else(|| InvalidStyle(text.to_owned()))
     }
 }

@@ -35,14 +35,8 @@ pub(super) enum Refused {
     NoRole,
     /// A user that is not the certificate's role.
     #[error("it has the certificate of the role `{role}` and another user name")]
-    Mixed {
-        /// The certificate's role.
-        role: String,
-    },
+    Mixed { role: String },
     /// The router answered with a refusal.
     #[error("wrong password, or another version of zenoh, of the role `{role}`")]
-    ByRouter {
-        /// The certificate's role.
-        role: String,
-    },
+    ByRouter { role: String },
 }

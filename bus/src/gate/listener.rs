@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use quinn::crypto::rustls::QuicServerConfig;
 use quinn::{EndpointConfig, Incoming, TokioRuntime, VarInt};
+use rustls::ServerConfig;
 use tokio::net::{TcpListener, TcpStream, lookup_host};
 use tokio_rustls::TlsAcceptor;
 
@@ -25,18 +26,8 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// A bound port.
 #[derive(Debug)]
 pub(super) enum Listener {
-    Tcp(TcpListener, Acceptor),
+    Tcp(TcpListener, Arc<ServerConfig>, Duration),
     Quic(quinn::Endpoint, Duration),
-}
-
-/// Completes TLS.
-#[derive(Clone)]
-pub(super) struct Acceptor(TlsAcceptor, Duration);
-
-impl std::fmt::Debug for Acceptor {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Acceptor")
-    }
 }
 
 impl Listener {
@@ -50,8 +41,7 @@ impl Listener {
         let config = Arc::new(config);
         for at in lookup_host((host, port)).await.map_err(failed)? {
             let bound = if is_tls(endpoint) {
-                let acceptor = Acceptor(TlsAcceptor::from(Arc::clone(&config)), valid_for);
-                TcpListener::bind(at).await.map(|socket| Self::Tcp(socket, acceptor))
+                TcpListener::bind(at).await.map(|socket| Self::Tcp(socket, Arc::clone(&config), valid_for))
             } else {
                 quic_endpoint(at, &config).map(|endpoint| Self::Quic(endpoint, valid_for))
             };
@@ -66,9 +56,9 @@ impl Listener {
     /// Hands every connection to the hall, for as long as this is polled.
     pub(super) async fn admit(self, hall: &Arc<Hall>) {
         match self {
-            Self::Tcp(socket, acceptor) => loop {
+            Self::Tcp(socket, config, valid_for) => loop {
                 match socket.accept().await {
-                    Ok((stream, from)) => hall.receive(from, acceptor.clone().complete(stream)),
+                    Ok((stream, from)) => hall.receive(from, complete_tls(stream, Arc::clone(&config), valid_for)),
                     Err(error) => {
                         tracing::warn!(%error, "cannot accept connections");
                         tokio::time::sleep(PAUSE).await;
@@ -81,7 +71,7 @@ impl Listener {
                         // It fails only for an address that has been validated.
                         let _ = incoming.retry();
                     } else {
-                        hall.receive(incoming.remote_address(), complete(incoming, valid_for));
+                        hall.receive(incoming.remote_address(), complete_quic(incoming, valid_for));
                     }
                 }
             }
@@ -97,16 +87,14 @@ impl Listener {
     }
 }
 
-impl Acceptor {
-    async fn complete(self, stream: TcpStream) -> Result<Arrived, Refused> {
-        stream.set_nodelay(true)?;
-        let stream = self.0.accept(stream).await?;
-        let (role, valid_for) = tls::peer(stream.get_ref().1.peer_certificates(), self.1).ok_or(Refused::NoRole)?;
-        Ok(Arrived { stream: Box::new(stream), role, valid_for, connection: None })
-    }
+async fn complete_tls(stream: TcpStream, config: Arc<ServerConfig>, valid_for: Duration) -> Result<Arrived, Refused> {
+    stream.set_nodelay(true)?;
+    let stream = TlsAcceptor::from(config).accept(stream).await?;
+    let (role, valid_for) = tls::peer(stream.get_ref().1.peer_certificates(), valid_for).ok_or(Refused::NoRole)?;
+    Ok(Arrived { stream: Box::new(stream), role, valid_for, connection: None })
 }
 
-async fn complete(incoming: Incoming, valid_for: Duration) -> Result<Arrived, Refused> {
+async fn complete_quic(incoming: Incoming, valid_for: Duration) -> Result<Arrived, Refused> {
     let connection = incoming.accept()?.await?;
     let (to, from) = connection.accept_bi().await?;
     let identity = connection.peer_identity().and_then(|any| any.downcast().ok());
@@ -117,7 +105,7 @@ async fn complete(incoming: Incoming, valid_for: Duration) -> Result<Arrived, Re
     Ok(Arrived { stream, role, valid_for, connection: Some(connection) })
 }
 
-fn quic_endpoint(at: SocketAddr, config: &Arc<rustls::ServerConfig>) -> io::Result<quinn::Endpoint> {
+fn quic_endpoint(at: SocketAddr, config: &Arc<ServerConfig>) -> io::Result<quinn::Endpoint> {
     let crypto = QuicServerConfig::try_from(Arc::clone(config)).map_err(io::Error::other)?;
     let mut server = quinn::ServerConfig::with_crypto(Arc::new(crypto));
     let mut transport = quinn::TransportConfig::default();

@@ -1,7 +1,7 @@
 //! Ownership of actor names: if two live processes share a name, it belongs to the one whose trajectory was taken
 //! first.
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -41,8 +41,8 @@ impl Names {
                 // The watch on live processes counts invalid names.
                 let Some(name) = name else { return };
                 match sample.kind() {
-                    SampleKind::Put => lock(&shared).add(name),
-                    SampleKind::Delete => lock(&shared).remove(name),
+                    SampleKind::Put => shared.lock().add(name),
+                    SampleKind::Delete => shared.lock().remove(name),
                 }
             })
             .await
@@ -52,12 +52,12 @@ impl Names {
 
     /// Returns whether another live process owns the name.
     pub(super) fn is_taken(&self, actor: &ActorId, epoch: u64) -> bool {
-        lock(&self.register).is_taken(actor, epoch)
+        self.register.lock().is_taken(actor, epoch)
     }
 
     /// Assigns the name to the process if it has no owner.
     pub(super) fn claim(&self, actor: &ActorId, epoch: u64) {
-        lock(&self.register).claim(actor, epoch);
+        self.register.lock().claim(actor, epoch);
     }
 }
 
@@ -82,11 +82,6 @@ impl Register {
             self.owners.entry(actor.as_str().to_owned()).or_insert(epoch);
         }
     }
-}
-
-fn lock(register: &Mutex<Register>) -> MutexGuard<'_, Register> {
-    // Every statement leaves the register consistent, so a panic elsewhere does no harm.
-    register.lock()
 }
 
 #[cfg(test)]

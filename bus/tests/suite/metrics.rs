@@ -1,6 +1,6 @@
 //! Metrics are plain JSON for any client, live and on request.
 
-use bus::MetricsSample;
+use bus::{MetricsSample, MetricsSubscriber};
 use proto::keys;
 use proto::metrics::{EvalGroup, EvalOutcome};
 use proto::wilson::SuccessRate;
@@ -51,23 +51,22 @@ async fn metrics_subscriber_gets_the_latest_and_then_new_values() {
     // Values in flight when the reader subscribes reach it too, so the answer to the query may be neither the first nor
     // the only one of its kind.
     let in_flight = [sample(1), sample(2)];
-    let mut latest = within("the latest", reader.recv()).await.unwrap();
-    while latest != sample(2) {
-        assert!(in_flight.contains(&latest), "{latest:?}");
-        latest = within("the latest", reader.recv()).await.unwrap();
-    }
+    until_sample(&mut reader, &sample(2), &in_flight).await;
     publisher.put(&json!({ "n": 3 })).await.unwrap();
-    let mut next = within("the next", reader.recv()).await.unwrap();
-    while next != sample(3) {
-        assert!(in_flight.contains(&next), "{next:?}");
-        next = within("the next", reader.recv()).await.unwrap();
-    }
+    until_sample(&mut reader, &sample(3), &in_flight).await;
     // Asking again returns the latest value again, although nothing new was published.
     reader.ask_latest().await.unwrap();
-    let mut again = within("the latest again", reader.recv()).await.unwrap();
-    while again != sample(3) {
-        assert!(in_flight.contains(&again), "{again:?}");
-        again = within("the latest again", reader.recv()).await.unwrap();
+    until_sample(&mut reader, &sample(3), &in_flight).await;
+}
+
+/// Waits for a sample, before which there may be others of those in flight.
+async fn until_sample(reader: &mut MetricsSubscriber, wanted: &MetricsSample, in_flight: &[MetricsSample]) {
+    loop {
+        let sample = within("a sample", reader.recv()).await.unwrap();
+        if sample == *wanted {
+            return;
+        }
+        assert!(in_flight.contains(&sample), "{sample:?}");
     }
 }
 

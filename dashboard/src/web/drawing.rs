@@ -97,7 +97,7 @@ fn look(body: &[u8]) -> Result<Findings, String> {
     drawing.turn_free_blocks().map_err(|error| error.to_string())?;
     let found = drawing.examine().map_err(|error| error.to_string())?;
     let block = |block: DrawnBlock| BlockView {
-        axes: block.axes(),
+        axes: block.rotation.axes(),
         type_name: block.type_name,
         at: block.at,
         is_free: block.is_free,

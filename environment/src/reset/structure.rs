@@ -79,7 +79,7 @@ fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
         let center = placements.iter().map(|p| volume(p) * p.center_half_units[axis] as f32).sum::<f32>() / mass;
         let lowest = placements.iter().filter(|p| Some(bottom_half_units(p)) == bottom);
         let edges = lowest.map(|p| {
-            let half = p.size_cells(Inventory::standard())[axis];
+            let half = p.size_cells()[axis];
             (p.center_half_units[axis] - half, p.center_half_units[axis] + half)
         });
         let (low, high) = edges.fold((i32::MAX, i32::MIN), |(low, high), (l, h)| (low.min(l), high.max(h)));
@@ -88,5 +88,5 @@ fn stands(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
 }
 
 fn bottom_half_units(placement: &Placement) -> i32 {
-    placement.center_half_units[2] - placement.size_cells(Inventory::standard())[2]
+    placement.center_half_units[2] - placement.size_cells()[2]
 }

@@ -109,10 +109,9 @@ pub fn draw_blueprint(painter: &mut Painter, blueprint: &Blueprint, view: View, 
 
 /// Returns the size along x, y, and z in units.
 fn extent(blueprint: &Blueprint) -> String {
-    let inventory = Inventory::standard();
     let size = |axis: usize| {
         let spans = blueprint.placements().iter().map(move |at| {
-            let half_size = at.size_cells(inventory)[axis];
+            let half_size = at.size_cells()[axis];
             (at.center_half_units[axis] - half_size, at.center_half_units[axis] + half_size)
         });
         let low = spans.clone().map(|(low, _)| low).min().unwrap_or(0);

@@ -147,8 +147,7 @@ fn blueprint_is_drawn_at_its_placements() {
     // The corners of the drawn blocks equal those of the cells that the placements fill.
     for blueprint in Catalog::builtin().iter() {
         let drawn = corners(&of_blueprint(blueprint));
-        let cells: Vec<[i32; 3]> =
-            blueprint.placements().iter().flat_map(|at| at.filled_cells(Inventory::standard())).collect();
+        let cells: Vec<[i32; 3]> = blueprint.placements().iter().flat_map(|at| at.filled_cells()).collect();
         for axis in 0..3 {
             let high = drawn.iter().map(|point| point[axis] / UNIT_M).fold(f32::NEG_INFINITY, f32::max);
             let low = drawn.iter().map(|point| point[axis] / UNIT_M).fold(f32::INFINITY, f32::min);

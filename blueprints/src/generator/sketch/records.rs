@@ -18,21 +18,21 @@ pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
     let volume = dice.between((most - 4).max(least), most);
     match idea % 6 {
         0 => {
-            let row = Row::draw(volume, &[[3, 2], [2, 3]], dice)?;
+            let row = Row::draw(volume, dice)?;
             let mut sketch = Sketch::new("long wall with turrets");
             sketch.add([0, 0, 0], [row.length, 1, 1]);
             row.bays.iter().for_each(|&[x, width]| sketch.add([x, 0, 1], [width, 1, 1]));
             sketch.of_volume(volume)
         }
         1 => {
-            let row = Row::draw(volume, &[[3, 2], [2, 3]], dice)?;
+            let row = Row::draw(volume, dice)?;
             let mut sketch = Sketch::new("viaduct");
             sketch.add([0, 0, 1], [row.length, 1, 1]);
             row.bays.iter().for_each(|&[x, width]| sketch.add([x, 0, 0], [width, 1, 1]));
             sketch.of_volume(volume)
         }
         2 => {
-            let row = Row::draw(volume, &[[3, 2], [2, 3]], dice)?;
+            let row = Row::draw(volume, dice)?;
             let mut sketch = Sketch::new("zigzag");
             let mut from = 0;
             for (i, bay) in (0..).zip(row.bays.iter().chain(&[[row.length, 0]])) {
@@ -45,7 +45,7 @@ pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
         3 => {
             // Feet on both sides next to the bays' plates, like a caterpillar's.
             let feet = 4;
-            let row = Row::draw(volume - feet, &[[3, 2], [2, 3]], dice)?;
+            let row = Row::draw(volume - feet, dice)?;
             let mut sketch = Sketch::new("causeway");
             sketch.add([0, 0, 0], [row.length, 1, 1]);
             for (i, &[x, width]) in (0..).zip(&row.bays) {
@@ -64,8 +64,8 @@ pub(super) fn longest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
 
 impl Row {
     /// Draws a row whose length and bays together fill the volume.
-    fn draw(volume: i32, halves: &[[i32; 2]], dice: &mut Dice) -> Option<Self> {
-        let half = dice.pick(halves);
+    fn draw(volume: i32, dice: &mut Dice) -> Option<Self> {
+        let half = dice.pick(&[[3, 2], [2, 3]]);
         // With few blocks, use at most one pair of plates.
         let n_bays = if volume >= 30 { 2 } else { dice.between(0, 2) };
         let half = &half[..n_bays as usize];
