@@ -286,9 +286,13 @@ impl RunView {
 /// Says in words that a learner waits, since when, and why.
 pub fn waits(not_saved: &NotSaved) -> String {
     let NotSaved { since_unix_ms, reason } = not_saved;
-    let since = OffsetDateTime::UNIX_EPOCH + Duration::from_millis(*since_unix_ms);
-    let (date, hour, minute) = (since.date(), since.hour(), since.minute());
-    format!("training waits: not saved since {date} {hour:02}:{minute:02} UTC: {reason}")
+    // The time comes from the bus, and may be beyond all dates.
+    let seconds = i64::try_from(since_unix_ms / 1000).unwrap_or(i64::MAX);
+    let since = OffsetDateTime::from_unix_timestamp(seconds).map_or_else(
+        |_| "an unknown time".to_owned(),
+        |since| format!("{} {:02}:{:02} UTC", since.date(), since.hour(), since.minute()),
+    );
+    format!("training waits: not saved since {since}: {reason}")
 }
 
 /// Stores `value` unless it equals the current value, which then keeps its time. Returns whether the value changed.

@@ -2,7 +2,6 @@
 
 use proptest::prelude::*;
 
-use super::*;
 use crate::checks::{Check, Inferred, Outcome, Report, check_text};
 use crate::{Blueprint, Catalog, Link, Split};
 

@@ -99,7 +99,7 @@ pub struct KeysRouterArgs {
 
 /// Hosts and lifetime of the router's certificate.
 #[derive(Clone, Debug, Args)]
-pub struct CertificateArgs {
+pub(crate) struct CertificateArgs {
     /// Name or address at which processes reach the router; may be repeated. localhost, 127.0.0.1, and ::1 are always
     /// included.
     #[arg(long, value_name = "HOST", value_delimiter = ',')]
@@ -111,7 +111,7 @@ pub struct CertificateArgs {
 
 impl CertificateArgs {
     /// All names and addresses of the router.
-    pub fn hosts(&self) -> Vec<String> {
+    pub(crate) fn hosts(&self) -> Vec<String> {
         let local = ["localhost", "127.0.0.1", "::1"].map(str::to_owned);
         local.into_iter().chain(self.host.clone()).collect()
     }
