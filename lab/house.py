@@ -32,8 +32,8 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so; the last was the page of a sweep.
 CEILINGS = {
-    "lines of Rust outside lab/": 77_215,
-    "of it without tests and comments": 40_410,
+    "lines of Rust outside lab/": 75_520,
+    "of it without tests and comments": 39_540,
     "settings": 115,
     "commands": 18,
     "direct dependencies": 54,
@@ -74,7 +74,7 @@ def n_settings(paths: list[Path]) -> int:
 
 def n_commands() -> int:
     enum = re.search(r"^pub enum Command \{\n(.*?)^\}", (ROOT / "deploy/src/cli.rs").read_text(), flags=re.M | re.S)
-    return len(re.findall(r"^ {4}[A-Z]\w+(?:\(|,)", enum[1] if enum else "", flags=re.M))
+    return len(re.findall(r"^ {4}[A-Z]\w+(?:\(|,| \{)", enum[1] if enum else "", flags=re.M))
 
 
 def n_words() -> int:
