@@ -96,7 +96,8 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     let learner = ring.member("learner", &["--keys", "keys", "--run-dir", "run"]);
     // The folder of its own role is all that an actor needs.
     let _actor = ring.member("actor", &["--keys", "keys/actor", "--id", "honest"]);
-    let _evaluator = ring.member("evaluator", &["--keys", "keys"]);
+    let soon = ["--set", "evaluator.every={versions=1}", "--set", "evaluator.episodes.n_episodes=1"];
+    let _evaluator = ring.member("evaluator", &[&["--keys", "keys"][..], &soon].concat());
     ring.update_after_which(|update| count(update, "/ingest/accepted_total") > 0);
     for role in ["learner", "actor", "evaluator"] {
         let mut check = quiet(ring.folder.path(), &["healthcheck", "--file", role]);

@@ -187,26 +187,25 @@ async fn an_actor_with_other_settings_than_its_run_ends_and_names_the_first() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
-    // The other actor is already present.
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
-    let taken = bus.declare_alive(Role::Actor, "toy").await.unwrap();
-    let start = || {
+    let start = |bus: &Bus| {
         let bus = bus.clone();
         tokio::spawn(async move { run(setup(config()), &bus, watch::channel(None).0, CancellationToken::new()).await })
     };
     let expected = "another live actor of this run is called \"toy\"; choose another --id";
-    assert_eq!(within(start()).await.unwrap().unwrap_err().to_string(), expected);
-    let alive = bus.alive(Role::Actor).await.unwrap();
-    within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
-    drop(taken);
-    // A learner that saw the old token disappear later would forget the owner of the name.
-    within(alive.watch().wait_for(BTreeSet::is_empty)).await.unwrap();
+    // The other actor is already present.
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let _taken = bus.declare_alive(Role::Actor, "toy").await.unwrap();
+    assert_eq!(within(start(&bus)).await.unwrap().unwrap_err().to_string(), expected);
 
-    // Both checked at the same moment and found no other; the learner accepted a trajectory of the other first.
+    // Both checked at the same moment and found no other; the learner accepted a trajectory of the other first. Another
+    // bus, because a learner that sees the old token disappear forgets the owner of the name.
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
     let (_version, current_version) = watch::channel(WeightsVersion(0));
     let server = bus.serve_trajectories(|_| Ok(()), current_version).await.unwrap();
-    let actor = start();
+    let actor = start(&bus);
+    let alive = bus.alive(Role::Actor).await.unwrap();
     within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
     let sender = bus.trajectory_sender(&toy::identity().actor).await.unwrap();
     sender.wait_for_learner().await;
