@@ -24,24 +24,25 @@ uniform mat4 occlusionFrames[${N_BLOCKS}];
 uniform vec3 occlusionHalves[${N_BLOCKS}];
 uniform int occlusionCount;
 
-float distanceToSurfaces(vec3 point) {
-  float nearest = point.z;
-  for (int i = 0; i < ${N_BLOCKS}; i++) {
-    if (i >= occlusionCount) break;
-    vec3 beyond = abs((occlusionFrames[i] * vec4(point, 1.0)).xyz) - occlusionHalves[i];
-    nearest = min(nearest, length(max(beyond, 0.0)) + min(max(beyond.x, max(beyond.y, beyond.z)), 0.0));
-  }
-  return nearest;
+float distanceToBox(vec3 point, vec3 halves) {
+  vec3 beyond = abs(point) - halves;
+  return length(max(beyond, 0.0)) + min(max(beyond.x, max(beyond.y, beyond.z)), 0.0);
 }
 
 float ambientLight() {
   vec3 normal = normalize(occlusionNormal);
-  float hidden = 0.0;
-  for (int i = 1; i <= 4; i++) {
-    float height = 0.02 * float(i);
-    hidden += (height - max(distanceToSurfaces(occlusionPoint + height * normal), 0.0)) / (height * float(i));
+  vec4 heights = vec4(0.02, 0.04, 0.06, 0.08);
+  vec4 nearest = min(heights, occlusionPoint.z + heights * normal.z);
+  for (int i = 0; i < ${N_BLOCKS}; i++) {
+    if (i >= occlusionCount) break;
+    vec3 point = (occlusionFrames[i] * vec4(occlusionPoint, 1.0)).xyz;
+    // A block that is farther from here than that is not nearer to any of the points than the surface below them.
+    if (distanceToBox(point, occlusionHalves[i]) > 2.0 * heights.w) continue;
+    vec3 up = mat3(occlusionFrames[i]) * normal;
+    for (int k = 0; k < 4; k++) nearest[k] = min(nearest[k], distanceToBox(point + heights[k] * up, occlusionHalves[i]));
   }
-  return 1.0 - 0.4 * clamp(hidden, 0.0, 1.6);
+  float hidden = dot((heights - max(nearest, 0.0)) / heights, vec4(1.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 4.0));
+  return 1.0 - 0.4 * min(hidden, 1.6);
 }
 `;
 
