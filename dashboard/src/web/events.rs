@@ -7,11 +7,11 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::body::Bytes;
-use futures_core::Stream;
+use hyper::body::{Body, Frame};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_util::sync::CancellationToken;
 
-/// Capacity of a browser's event queue. A pass over the whole catalog is a burst of 167.
+/// Capacity of a browser's event queue. An evaluation of the whole catalog is a burst of 167.
 const QUEUE: usize = 1024;
 
 /// Maximum number of browsers listening at a time, to all runs of the page together.
@@ -97,14 +97,19 @@ impl Viewers {
     }
 }
 
-impl Stream for Events {
-    type Item = Result<Bytes, Infallible>;
+impl Body for Events {
+    type Data = Bytes;
+    type Error = Infallible;
 
-    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        match self.first.take() {
-            Some(first) => Poll::Ready(Some(Ok(first))),
-            None => self.queue.poll_recv(context).map(|text| text.map(Ok)),
-        }
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        let next = match self.first.take() {
+            Some(first) => Poll::Ready(Some(first)),
+            None => self.queue.poll_recv(context),
+        };
+        next.map(|text| text.map(|text| Ok(Frame::data(text))))
     }
 }
 

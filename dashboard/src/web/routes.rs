@@ -214,7 +214,7 @@ async fn events(
     };
     connection.lasts();
     let events = board.listen(connection.close.clone(), place);
-    ([(CONTENT_TYPE, "text/event-stream")], Body::from_stream(events)).into_response()
+    ([(CONTENT_TYPE, "text/event-stream")], Body::new(events)).into_response()
 }
 
 /// Returns the newest episode, or 202 while there is none. Each request also triggers the recording of a newer one.
