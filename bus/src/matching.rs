@@ -32,12 +32,11 @@ macro_rules! follow {
                 // One that waits stands for both.
                 let _ = notifier.try_send(());
             };
-            let listener = entity.matching_listener().callback(notify).await.map_err(failed())?;
+            entity.matching_listener().callback(notify).background().await.map_err(failed())?;
             let now = entity.matching_status().await.map_err(failed())?.matching();
             let (sender, status) = watch::channel(now);
             let task = AbortOnDropHandle::new(tokio::spawn(async move {
                 follow(sender, changes, || Some(entity.matching_status().wait().ok()?.matching())).await;
-                drop(listener);
             }));
             Ok(Self { status, _task: task })
         }
