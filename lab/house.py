@@ -32,7 +32,7 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so; the last was the page of a sweep.
 CEILINGS = {
-    "lines of Rust outside lab/": 75_520,
+    "lines of Rust outside lab/": 75_525,
     "of it without tests and comments": 39_540,
     "settings": 115,
     "commands": 18,

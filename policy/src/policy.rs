@@ -169,8 +169,8 @@ impl Policy {
     /// use.
     ///
     /// # Errors
-    /// If the weights are of another network or of a policy with other settings, of the wrong length, not finite, or so large that they give no
-    /// distribution.
+    /// If the weights are of another network or of a policy with other settings, of the wrong length, not finite, or so
+    /// large that they give no distribution.
     pub fn load(&mut self, weights: &Weights) -> Result<(), PolicyError> {
         let version = weights.version;
         let own = CanonicalSettings::default().with("policy", &*self.config);

@@ -382,7 +382,8 @@ pub(super) fn run_dir(
     Ok(run_dir)
 }
 
-/// The options of a learner for this run with trajectories of this source, which sends its metrics to `metrics_sender` too.
+/// The options of a learner for this run with trajectories of this source, which sends its metrics to `metrics_sender`
+/// too.
 pub(super) fn run_options(
     setup: LearnerSetup,
     config: &Config,

@@ -27,8 +27,8 @@ const LAST_FRAMES: usize = 6;
 const FOOT_PX: usize = 20;
 const GOAL_PX: [usize; 2] = [84, 72];
 
-/// Encodes the episode as a GIF of [`MINIATURE_PX`] in at most [`MAX_MINIATURE_BYTES`]. While the GIF is too large, every second frame is dropped;
-/// `None` if it never fits.
+/// Encodes the episode as a GIF of [`MINIATURE_PX`] in at most [`MAX_MINIATURE_BYTES`]. While the GIF is too large, every
+/// second frame is dropped; `None` if it never fits.
 ///
 /// # Errors
 /// Returns the errors of [`gif()`].

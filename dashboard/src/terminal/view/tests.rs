@@ -68,6 +68,10 @@ fn a_learner_that_cannot_save_says_so_and_has_learned_nothing_more() {
     let line = "training waits: not saved since 2026-01-31 08:05 UTC: no\\u001b[2J room";
     assert_eq!(text.lines().nth(2), Some(line), "{text}");
     assert_eq!(n_values(&run), before);
+    learner.value["not_saved"]["since_unix_ms"] = u64::MAX.into();
+    assert!(run.take(&learner, seconds(34)));
+    let text = self::text(&run, &config(), seconds(35));
+    assert!(text.contains("not saved since an unknown time: no"), "{text}");
 }
 
 #[test]
