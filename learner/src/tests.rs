@@ -1,7 +1,6 @@
 //! Tests of the whole learner with synthetic trajectories.
 
 mod checkpoints;
-#[cfg(feature = "gpu")]
 mod device;
 pub(crate) mod learning;
 mod mixture;

@@ -1,32 +1,38 @@
-//! A GPU against the CPU's kernels, on whatever GPU the machine has.
+//! A GPU against the CPU's kernels, on whatever Vulkan device the machine has.
 
-use policy::{DeviceKind, MoveHead, NetworkConfig, PolicyConfig};
+use policy::{DeviceError, DeviceKind, MoveHead, NetworkConfig};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use super::learning::{bandit, feed, small_setup};
 use crate::config::{FixedRate, LrSchedule};
-use crate::{Learner, LearnerSetup};
+use crate::{Learner, LearnerError, LearnerSetup};
 
 /// The paper's network, and one gradient step per update.
 fn setup(move_head: MoveHead) -> LearnerSetup {
     let mut setup = small_setup(1);
-    setup.policy = PolicyConfig { network: NetworkConfig { move_head, ..Default::default() }, ..Default::default() };
+    setup.policy = setup.policy.with(|c| c.network = NetworkConfig { move_head, ..Default::default() }).unwrap();
     setup.config = setup
         .config
         .with(|c| {
             c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
             c.n_epochs = 1;
+            c.minibatch_size = 256;
         })
         .unwrap();
-    setup.config = setup.config.with(|c| c.minibatch_size = 256).unwrap();
     setup
 }
 
+/// Without the cargo feature, a GPU is refused, and the rest is compiled all the same.
 #[test]
 fn an_update_on_a_gpu_equals_one_on_a_cpu() {
     for move_head in [MoveHead::Gaussian, MoveHead::Mixture] {
         let setup = setup(move_head);
+        if !cfg!(feature = "gpu") {
+            let refused = Learner::new(LearnerSetup { device: DeviceKind::Gpu, ..setup }).err().unwrap();
+            assert!(matches!(refused, LearnerError::Device(DeviceError::NotBuiltIn)), "{refused}");
+            continue;
+        }
         let trajectories = {
             let learner = Learner::new(setup.clone()).unwrap();
             bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2))
