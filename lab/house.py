@@ -30,10 +30,10 @@ GOALS = {
     "lines of README.md": 120,
 }
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
-# raises them in a commit that says so; the last was the page of a sweep.
+# raises them in a commit that says so; the last was a line for each value that a tuple had bound.
 CEILINGS = {
-    "lines of Rust outside lab/": 75_525,
-    "of it without tests and comments": 39_540,
+    "lines of Rust outside lab/": 75_765,
+    "of it without tests and comments": 39_710,
     "settings": 115,
     "commands": 18,
     "direct dependencies": 53,

@@ -120,7 +120,9 @@ impl<E: Env> Rollout<E> {
         let policy = Policy::with_weights(&setup.policy, weights)?;
         let mut tasks = TaskSampler::new(&setup.tasks, &setup.catalog)?;
         tasks.follow(&weights.task_probabilities);
-        let (seed, version, envs) = (setup.seed, weights.version, VecEnv::new(worlds));
+        let seed = setup.seed;
+        let version = weights.version;
+        let envs = VecEnv::new(worlds);
         let counters = RolloutCounters::default();
         let mut rollout = Self { setup, policy, version, tasks, envs, slots: Vec::new(), counters };
         rollout.restart(seed)?;
@@ -196,7 +198,8 @@ impl<E: Env> Rollout<E> {
                 reward: result.reward,
                 disturbance: None,
             };
-            let (identity, after) = (&self.setup.identity, self.envs.env(row).scene());
+            let identity = &self.setup.identity;
+            let after = self.envs.env(row).scene();
             match slot.segment.push(transition, self.version, after, result.status, identity) {
                 Cut::None => {}
                 Cut::Segment(trajectory) => {

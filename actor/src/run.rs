@@ -115,7 +115,8 @@ pub async fn run(
     tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
     stepped?;
     if shared.lost_name.load(Ordering::Relaxed) {
-        let (role, advice) = (Role::Actor.as_str(), "choose another --id");
+        let role = Role::Actor.as_str();
+        let advice = "choose another --id";
         return Err(BusError::NameTaken { role, name: id.as_str().to_owned(), advice }.into());
     }
     Ok(report)
@@ -231,7 +232,8 @@ impl Reporter {
                 () = tokio::time::sleep(METRICS_PERIOD) => true,
                 () = self.shared.counted.cancelled() => false,
             };
-            let (now, report) = (Instant::now(), self.shared.report());
+            let now = Instant::now();
+            let report = self.shared.report();
             let n_env_steps = report.counters.n_env_steps;
             let env_steps_per_s = speed.at(now - self.start, n_env_steps);
             // The oldest version, so that a thread that falls behind is visible.

@@ -76,7 +76,8 @@ impl Assembly {
         let geometry = Geometry::new(placements);
         let blocks = placements.iter().map(|p| p.block).collect();
         let mut ranked = Vec::new();
-        let (mut furthest, mut gave_up) = (Parts::default(), false);
+        let mut furthest = Parts::default();
+        let mut gave_up = false;
         for up in UPS {
             let mut side = Side::new(up);
             if let Some(margin_u) = side.least_margin(&geometry) {

@@ -173,7 +173,9 @@ impl Catalog {
         let mut blueprints: Vec<Blueprint> = Vec::new();
         let mut by_hash: BTreeMap<u64, (BlueprintId, Split)> = BTreeMap::new();
         for (file, blueprint) in files {
-            let (file, id, split) = (file.to_owned(), blueprint.id().clone(), blueprint.split());
+            let file = file.to_owned();
+            let id = blueprint.id().clone();
+            let split = blueprint.split();
             if blueprints.iter().any(|other| *other.id() == id) {
                 return Err(CatalogError::DuplicateId { file, id });
             }
@@ -305,7 +307,8 @@ pub fn is_hidden(name: &OsStr) -> bool {
 /// Decodes a file's bytes as UTF-8.
 fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, CatalogError> {
     String::from_utf8(bytes).map_err(|error| {
-        let (bytes, at) = (error.as_bytes(), error.utf8_error().valid_up_to());
+        let bytes = error.as_bytes();
+        let at = error.utf8_error().valid_up_to();
         CatalogError::NotText { path: path.to_owned(), line: line_at(bytes, at), byte: bytes[at] }
     })
 }

@@ -192,7 +192,9 @@ pub fn check_text(file: &str, text: &str) -> Report {
         let ways = infer::completions(draft, assigned).map(|ways| first_good(draft, assigned, ways));
         run.record(Check::Turns, ways).flatten()
     });
-    let (mut blueprint, mut inferred, mut completed) = (None, Vec::new(), None);
+    let mut blueprint = None;
+    let mut inferred = Vec::new();
+    let mut completed = None;
     if let (Some(draft), Some((completion, placements))) = (&draft, &found) {
         let structure = Structure::new(draft, placements);
         let apart = run.record(Check::Overlap, structure.overlap());
@@ -386,7 +388,9 @@ impl<'a> Structure<'a> {
 
     fn polarity(&self) -> Result<(), BlueprintError> {
         self.repelling.first().map_or(Ok(()), |&((i, j, p, q), place)| {
-            let (a, b, pair) = (self.name(i), self.name(j), format!("{p} {q}"));
+            let a = self.name(i);
+            let b = self.name(j);
+            let pair = format!("{p} {q}");
             let place_u = self.drawn(place).map(|x| x as f32 / 2.0);
             let advice = if [i, j].iter().any(|&k| self.draft.blocks[k].turn.is_some()) {
                 PolesAdvice::Turn

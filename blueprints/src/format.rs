@@ -200,7 +200,8 @@ impl Draft {
         // The first block's center, rotated back, differs from its center as drawn by the distance the drawing was
         // moved.
         self.blocks.iter().zip(placements).next().map_or(turned, |(block, placement)| {
-            let (center, size) = (back.apply(placement.center_half_units), back.apply(placement.size_cells()));
+            let center = back.apply(placement.center_half_units);
+            let size = back.apply(placement.size_cells());
             std::array::from_fn(|k| turned[k] - center[k] + 2 * block.at[k] + size[k].abs())
         })
     }
@@ -215,7 +216,8 @@ impl MagnetName {
     /// Returns the name of a block's `k`-th magnet.
     pub(crate) fn of(block: BlockIdx, k: usize) -> Self {
         let inventory = Inventory::standard();
-        let (cells, magnet) = (inventory.cells(block).map(i32::from), inventory.magnets(block)[k]);
+        let cells = inventory.cells(block).map(i32::from);
+        let magnet = inventory.magnets(block)[k];
         // The cell's center lies half a cell inside the face.
         let cell = std::array::from_fn(|k| (magnet.position_half_units[k] - magnet.normal[k] + cells[k] - 1) / 2);
         Self { normal: magnet.normal, cell }

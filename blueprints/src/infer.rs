@@ -262,7 +262,8 @@ impl<'a> Search<'a> {
                 (Some(turned), _) => vec![turned],
                 (None, Some(size)) if all.contains(&size) => vec![size],
                 (None, Some(size)) => {
-                    let (type_name, cells) = (block.type_name.clone(), inventory.cells(idx));
+                    let type_name = block.type_name.clone();
+                    let cells = inventory.cells(idx);
                     return Err(BlueprintError::BadSize { block: name(), type_name, size, cells });
                 }
                 (None, None) => all,

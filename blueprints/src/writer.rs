@@ -37,7 +37,8 @@ impl Blueprint {
         text.push_str("up = \"+z\"\n\nblocks = [\n");
         for (name, placement) in names.iter().zip(self.placements()) {
             let at = placement.lowest_cell();
-            let (type_name, axes) = (&inventory.block_type(placement.block).name, placement.rotation.axes());
+            let type_name = &inventory.block_type(placement.block).name;
+            let axes = placement.rotation.axes();
             let name = format!("{name},");
             let _ = writeln!(
                 text,

@@ -42,7 +42,9 @@ fn every_face_cell_has_a_magnet() {
 fn magnets_of_touching_faces_pair_by_cell() {
     let inventory = Inventory::standard();
     let check = |a: u8, b: u8, offset_half_units, rotation, n_attract: usize, n_repel: usize| {
-        let (a, b, relative) = (block(a), block(b), RelativePlacement { offset_half_units, rotation });
+        let a = block(a);
+        let b = block(b);
+        let relative = RelativePlacement { offset_half_units, rotation };
         assert_eq!(inventory.magnet_pairs(a, b, relative).len(), n_attract, "{relative:?}");
         assert_eq!(inventory.clashing_pairs(a, b, relative).len(), n_repel, "{relative:?}");
         assert_eq!(inventory.magnet_pairs(b, a, relative.inverse()).len(), n_attract, "{relative:?} inverse");

@@ -101,7 +101,8 @@ impl Gate {
     /// Begins to admit processes, as soon as zenoh listens.
     pub(super) fn open(&self) {
         for listener in self.listeners.lock().drain(..) {
-            let (hall, closing) = (Arc::clone(&self.hall), self.closing.clone());
+            let hall = Arc::clone(&self.hall);
+            let closing = self.closing.clone();
             self.tasks.spawn(async move {
                 tokio::select! {
                     () = closing.cancelled() => {}

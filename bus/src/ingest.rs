@@ -51,7 +51,8 @@ impl Bus {
     {
         let (queue, mut queries) = mpsc::channel::<Query>(INGEST_QUEUE);
         let counts: Arc<Mutex<IngestCounts>> = Arc::default();
-        let (names, repeats) = (Names::follow(self).await?, Repeats::default());
+        let names = Names::follow(self).await?;
+        let repeats = Repeats::default();
         let refusals = Refusals::start();
         let inlet =
             Inlet { queue, counts: counts.clone(), refusals: refusals.clone(), version: current_version.clone() };

@@ -94,7 +94,8 @@ impl Latest {
         let (queue, queries) = mpsc::channel::<Query>(QUEUE);
         let state = State { value: None, number: 0, turns: Turns::new(Instant::now()) };
         let desk = Arc::new(Desk { state: Mutex::new(state), counts: bus.counts.clone() });
-        let (shared, refusals) = (desk.clone(), Refusals::start());
+        let shared = desk.clone();
+        let refusals = Refusals::start();
         let queryable = bus
             .session
             .declare_queryable(key.clone())
@@ -256,7 +257,8 @@ mod tests {
     fn answers_of_one_second_go_at_once_and_later_ones_wait_for_their_turn() {
         // At 10 MB/s an answer of 5 MB takes half a second.
         let start = Instant::now();
-        let (mut now, mut pace) = (start, Pace::new(10, start));
+        let mut now = start;
+        let mut pace = Pace::new(10, start);
         let mut sent_at = Vec::new();
         for _ in 0..5 {
             now = now.max(pace.free_at());

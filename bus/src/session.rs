@@ -75,7 +75,10 @@ impl Bus {
         if let Some(gate) = &gate {
             gate.open();
         }
-        let (config, counts, n_askers, pulse) = (config.clone(), Arc::default(), Arc::default(), Pulse::default());
+        let config = config.clone();
+        let counts = Arc::default();
+        let n_askers = Arc::default();
+        let pulse = Pulse::default();
         let next_query = Arc::new(Mutex::new(Instant::now()));
         Ok(Self { session, config, counts, n_askers, pulse, gate, next_query })
     }

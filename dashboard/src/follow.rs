@@ -36,7 +36,8 @@ pub(crate) async fn follow(
     let members = [bus.alive(Role::Actor).await?, bus.alive(Role::Learner).await?, bus.alive(Role::Evaluator).await?];
     let [mut actors, mut learners, mut evaluators] = members.each_ref().map(AliveWatch::watch);
     let mut samples = Vec::new();
-    let (mut was_connected, mut n_services) = (true, (0, 0));
+    let mut was_connected = true;
+    let mut n_services = (0, 0);
     let mut period = tokio::time::interval(PERIOD);
     loop {
         tokio::select! {

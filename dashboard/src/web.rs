@@ -165,7 +165,8 @@ impl Page {
                 }
             });
         }
-        let (farewell, places) = (shown.about.farewell.clone(), Places::default());
+        let farewell = shown.about.farewell.clone();
+        let places = Places::default();
         let routes = routes::routes(shown, Vec::new(), None, places.clone(), self.config);
         tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
         tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
@@ -200,7 +201,9 @@ impl Page {
     pub async fn show(self, finished: Finished, shutdown: CancellationToken) -> anyhow::Result<()> {
         let (first, others, sweep) = finished.into_shown();
         let boards: Vec<_> = std::iter::once(&first).chain(&others).map(|run| run.board.clone()).collect();
-        let (counting, farewell, places) = (first.board.clone(), first.about.farewell.clone(), Places::default());
+        let counting = first.board.clone();
+        let farewell = first.about.farewell.clone();
+        let places = Places::default();
         let routes = routes::routes(first, others, sweep, places.clone(), self.config);
         let closing = CancellationToken::new();
         let _closed_with_this = closing.clone().drop_guard();

@@ -141,7 +141,8 @@ pub(crate) fn check(file: &Path, alive: bool) -> Result<State, Failure> {
 }
 
 fn state(role: &str, connected: bool, idle: Duration) -> State {
-    let (pid, idle_s) = (std::process::id(), idle.as_secs_f64());
+    let pid = std::process::id();
+    let idle_s = idle.as_secs_f64();
     State { role: role.to_owned(), pid, unix_ms: unix_ms(), connected, idle_s, joins: None, not_saved: None }
 }
 
@@ -232,7 +233,8 @@ mod tests {
     #[tokio::test]
     async fn a_start_tidies_up_after_killed_processes() {
         let folder = tempfile::tempdir().unwrap();
-        let (left, others) = (["health.new.7", "health.new.812"], ["health.new.", "health.new.x", "other.new.7"]);
+        let left = ["health.new.7", "health.new.812"];
+        let others = ["health.new.", "health.new.x", "other.new.7"];
         for name in left.iter().chain(&others) {
             fs::write(folder.path().join(name), "{").unwrap();
         }

@@ -120,7 +120,8 @@ pub(crate) fn check_exists(path: &Path) -> Result<(), Failure> {
     // The first name that a folder lacks.
     let lacks = |missing: &&Path| missing.parent().is_some_and(|folder| here(folder).is_dir());
     let alike = path.ancestors().find(lacks).and_then(|missing| {
-        let (folder, name) = (missing.parent()?, missing.file_name()?.to_string_lossy());
+        let folder = missing.parent()?;
+        let name = missing.file_name()?.to_string_lossy();
         let entries = fs::read_dir(here(folder)).into_iter().flatten().flatten();
         let names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
         let listed = names.iter().map(String::as_str).filter(|name| !name.starts_with('.'));
@@ -138,7 +139,8 @@ pub(crate) fn check_run(folder: &Path) -> Result<(), Failure> {
     if RunPaths::new(folder).config().exists() {
         return Ok(());
     }
-    let (shown, runs) = (folder.display(), runs_in(folder));
+    let shown = folder.display();
+    let runs = runs_in(folder);
     Err(Failure::NothingToShow(format!("{shown} is no folder of a run: it has no config.toml{runs}")))
 }
 
@@ -208,7 +210,8 @@ impl RunDir {
     pub(crate) fn claim(path: Option<&Path>, config: &Config, origin: &Origin) -> Result<Self, Failure> {
         let path =
             path.or(origin.config.as_deref()).map_or_else(|| default_folder(config), |path| Ok(path.to_owned()))?;
-        let (paths, shown) = (RunPaths::new(&path), path.display());
+        let paths = RunPaths::new(&path);
+        let shown = path.display();
         let failed = unwritable(&path);
         fs::create_dir_all(&path).map_err(&failed)?;
         let lock = File::create(paths.lock()).map_err(&failed)?;
@@ -305,7 +308,8 @@ fn unwritable(folder: &Path) -> impl Fn(io::Error) -> Failure {
 /// Formats a time after 1970 in UTC, for example `2026-01-31T08:05`.
 fn utc(time: SystemTime) -> String {
     let time = OffsetDateTime::from(time);
-    let (month, day) = (u8::from(time.month()), time.day());
+    let month = u8::from(time.month());
+    let day = time.day();
     format!("{:04}-{month:02}-{day:02}T{:02}:{:02}", time.year(), time.hour(), time.minute())
 }
 

@@ -196,7 +196,8 @@ mod tests {
 
     fn pairs(b: Isometry3<f32>) -> Vec<MagnetPair> {
         let table = MagnetTable::new(Inventory::standard());
-        let (frame_a, frame_b) = (Frame::new(&at(0.0, 0.0, 0.0)), Frame::new(&b));
+        let frame_a = Frame::new(&at(0.0, 0.0, 0.0));
+        let frame_b = Frame::new(&b);
         let mut found = vec![];
         table.for_each_pair((cube(0), &frame_a), (cube(1), &frame_b), 0.04, |pair| found.push(pair));
         if !found.is_empty() {

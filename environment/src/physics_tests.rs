@@ -216,7 +216,8 @@ fn joints_leave_the_solver_only_while_nothing_touches_what_is_carried() {
     let (mut n_free, mut n_touching) = (0, 0);
     for step in 0..200 {
         let phase = 0.3 * step as f32;
-        let (fast, slow) = (phase.sin(), (0.7 * phase).sin());
+        let fast = phase.sin();
+        let slow = (0.7 * phase).sin();
         action.moves[1] = [0.3 * fast, 0.3 * slow, -0.3 * (0.4 * phase).sin(), 0.1 * slow, 0.1 * fast, 0.3 * slow];
         rig.grippers.begin_step(&mut rig.engine, &action);
         for _ in 0..N_SUBSTEPS {

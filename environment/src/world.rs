@@ -119,7 +119,8 @@ impl World {
     /// Takes the block out of the grippers. If it is moved, it comes off everything that it was connected to, and ends
     /// up above what is in its place.
     fn apply(&mut self, disturbance: &Disturbance) {
-        let (block, push) = (disturbance.block(), Vector3::from(disturbance.push_mps()));
+        let block = disturbance.block();
+        let push = Vector3::from(disturbance.push_mps());
         let mut velocity = self.engine.velocity(block);
         self.grippers.let_go(block);
         if disturbance.displacement_m() != [0.0; 3] {

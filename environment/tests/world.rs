@@ -286,7 +286,8 @@ fn a_single_gripper_world_ignores_the_second_choice() {
 
 #[test]
 fn the_cost_of_a_heavy_contact_is_refunded_when_it_ends() {
-    let (calm, hit) = (RewardTerms::default(), RewardTerms { force: -0.3, ..RewardTerms::default() });
+    let calm = RewardTerms::default();
+    let hit = RewardTerms { force: -0.3, ..RewardTerms::default() };
     let forces = [(&calm, &hit), (&hit, &hit), (&hit, &calm)].map(|(a, b)| environment::reward::reward(a, b).force);
     assert_eq!(forces, [-0.3, 0.0, 0.3]);
 }

@@ -54,7 +54,9 @@ fn main() -> anyhow::Result<()> {
     println!("blocks  episodes  built  links  broken");
     for (n_blocks, Score { n_episodes, n_built, links, n_broken }) in scores {
         let n = f64::from(n_episodes);
-        let (built, links, broken) = (100.0 * f64::from(n_built) / n, 100.0 * links / n, n_broken as f64 / n);
+        let built = 100.0 * f64::from(n_built) / n;
+        let links = 100.0 * links / n;
+        let broken = n_broken as f64 / n;
         println!("{n_blocks:>6} {n_episodes:>9} {built:>5.1}% {links:>5.1}% {broken:>7.1}");
     }
     Ok(())

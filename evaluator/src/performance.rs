@@ -138,7 +138,8 @@ mod tests {
             let performance = Performance { before, ..calm(&environment, blueprint, 1) };
             perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
         };
-        let (alone, second) = (play(&goals[0], &[]), play(&goals[1], &goals[..1]));
+        let alone = play(&goals[0], &[]);
+        let second = play(&goals[1], &goals[..1]);
         assert_eq!((second.status, &second.task.blueprint), (Status::Success, goals[1].id()));
         assert_eq!((&second.task.start, second.transitions[0].scene.joints.len()), (&Start::AsItIs, 1));
         assert!(alone.transitions[0].scene.joints.is_empty());

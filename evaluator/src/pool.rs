@@ -165,7 +165,8 @@ mod tests {
     #[test]
     fn results_come_in_the_order_of_the_sequences_and_are_counted() {
         let setup = EvalSetup { n_worlds: 2, ..small_setup(EpisodeConfig { n_threads: 3, ..Default::default() }) };
-        let (sequences, progress) = (sequences(12), watch::Sender::default());
+        let sequences = sequences(12);
+        let progress = watch::Sender::default();
         let pool = EvaluationPool {
             setup: &setup,
             agent: &agent,

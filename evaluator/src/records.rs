@@ -36,7 +36,8 @@ impl Records {
     pub(crate) fn keep(&mut self, report: &EvalReport, row: Evaluation) {
         match lines(report) {
             Ok(lines) => {
-                let (n_env_steps, scalars) = (report.summary.n_env_steps, scalars(report));
+                let n_env_steps = report.summary.n_env_steps;
+                let scalars = scalars(report);
                 self.unwritten.push_back(Unwritten { n_env_steps, lines, scalars });
             }
             Err(error) => tracing::warn!(error = format!("{error:#}"), "an evaluation is missing in the run's metrics"),
@@ -93,7 +94,8 @@ fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
     let mut scalars = Vec::new();
     for group in [&report.summary.all].into_iter().chain(&report.summary.groups) {
         for (acting, outcome) in [(ActionMode::Greedy, &group.greedy), (ActionMode::Sampled, &group.sampled)] {
-            let (acting, group) = (acting.name(), group.name.replace(' ', "-"));
+            let acting = acting.name();
+            let group = group.name.replace(' ', "-");
             if was_evaluated(outcome) {
                 scalars.push((format!("success-{acting}/{group}"), outcome.success.rate));
             }

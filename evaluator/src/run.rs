@@ -153,7 +153,8 @@ async fn evaluate_all(
         let videos = outlets.videos;
         let selector = videos.and_then(|videos| videos.selector(&newest, &setup.config.episodes.acting));
         let (counted, progress) = watch::channel(EvaluationProgress::default());
-        let (goals, signals) = (selected.of(is_last).to_vec(), (&stop.now, bus.pulse()));
+        let goals = selected.of(is_last).to_vec();
+        let signals = (&stop.now, bus.pulse());
         let evaluation = evaluate_once(setup, goals, newest.clone(), selector, parts, counted, signals);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -415,7 +416,9 @@ async fn evaluate_once(
             !shutdown.is_cancelled()
         };
         let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
-        let (setup, observer, progress) = (&eval_setup, videos.as_ref(), Some(&counted));
+        let setup = &eval_setup;
+        let observer = videos.as_ref();
+        let progress = Some(&counted);
         let pool = EvaluationPool { setup, agent: &agent, observer, progress, keep_going: &keep_going };
         let selected: Vec<&Blueprint> = selected.iter().collect();
         evaluate_in_parts(&pool, &weights, &selected, &mut |part| drop(parts.send_replace(Some(part))))

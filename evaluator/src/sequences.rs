@@ -77,7 +77,9 @@ impl EpisodeSpec {
         episode_return: RewardTerms,
         forced_reset: bool,
     ) -> EpisodeResult {
-        let (blueprint, split, n_blocks) = (self.task.blueprint.clone(), self.split, self.n_blocks);
+        let blueprint = self.task.blueprint.clone();
+        let split = self.split;
+        let n_blocks = self.n_blocks;
         EpisodeResult { blueprint, split, n_blocks, acting, end, n_steps, episode_return, forced_reset }
     }
 }
@@ -175,7 +177,9 @@ struct EnvSlot<'s, R> {
 
 impl<'s, R> EnvSlot<'s, R> {
     fn new((sequence_idx, sequence): (usize, &'s [EpisodeSpec])) -> Self {
-        let (results, episode_return, record) = (Vec::new(), RewardTerms::default(), None);
+        let results = Vec::new();
+        let episode_return = RewardTerms::default();
+        let record = None;
         let played = sequence[0].clone();
         Self { sequence_idx, sequence, results, played, forced_reset: false, n_steps: 0, episode_return, record }
     }
@@ -213,7 +217,8 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
 
     /// Records a step; returns the result if the step ended the episode.
     fn observe(&mut self, row: usize, step: Step) -> Option<EpisodeResult> {
-        let (rules, slot) = (self.rules, &mut self.slots[row]);
+        let rules = self.rules;
+        let slot = &mut self.slots[row];
         let StepResult { reward, status } = step.result;
         slot.n_steps += 1;
         slot.episode_return = slot.episode_return + reward;

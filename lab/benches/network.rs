@@ -47,7 +47,8 @@ fn cpu(network: &Network, config: &FeatureConfig, with_gradients: bool) -> CpuNe
 }
 
 fn forward(network: &Network, config: &FeatureConfig, b: usize) {
-    let (network, batch) = (cpu(network, config, false), batch(config, b));
+    let network = cpu(network, config, false);
+    let batch = batch(config, b);
     let (rows, mut tape): (Vec<usize>, _) = ((0..b).collect(), Tape::default());
     report("forward", b, || {
         black_box(network.infer(&batch, &rows, &mut tape));
@@ -68,7 +69,8 @@ fn forward_on_burn(sizes: &FeatureSizes, b: usize) {
 
 /// Measures passes with the loss of the golden files: values + squares of logits and means + logarithms of deviations.
 fn update(network: &Network, config: &FeatureConfig, b: usize) {
-    let (network, batch) = (cpu(network, config, true), batch(config, b));
+    let network = cpu(network, config, true);
+    let batch = batch(config, b);
     let (rows, mut tape): (Vec<usize>, _) = ((0..b).collect(), Tape::default());
     let mut gradient = Vec::new();
     report("update", b, || {

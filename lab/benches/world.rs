@@ -82,7 +82,8 @@ fn held(config: &Valid<EnvironmentConfig>, seed: u64) -> f64 {
 fn moved(config: &Valid<EnvironmentConfig>, seed: u64) -> f64 {
     let (mut world, up) = lifted(config, seed);
     let velocity = |sign: f32| [0.0, 0.0, 0.0, 0.08 * sign * up.x, 0.08 * sign * up.y, 0.08 * sign * up.z];
-    let (there, back) = (hold(velocity(1.0)), hold(velocity(-1.0)));
+    let there = hold(velocity(1.0));
+    let back = hold(velocity(-1.0));
     let mut n = 0;
     timed(N_STEPS, || {
         n += 1;
@@ -112,9 +113,12 @@ fn lifted(config: &Valid<EnvironmentConfig>, seed: u64) -> (World, nalgebra::Vec
 /// Returns a blueprint of all 16 blocks end to end along x.
 fn row() -> String {
     let inventory = blueprints::Inventory::standard();
-    let (mut blocks, mut connections, mut x) = (vec![], vec![], 0);
+    let mut blocks = vec![];
+    let mut connections = vec![];
+    let mut x = 0;
     for block in BlockIdx::all() {
-        let (i, cells) = (block.get(), inventory.cells(block));
+        let i = block.get();
+        let cells = inventory.cells(block);
         let name = &inventory.block_type(block).name;
         blocks.push(format!(r#"{{ name = "b{i}", type = "{name}", at = [{x}, 0, 0], axes = "+x +y" }}"#));
         if let Some(last) = i.checked_sub(1).and_then(|last| BlockIdx::all().nth(last)) {

@@ -146,7 +146,8 @@ impl Ring {
     /// Lets the actors send for the given time and collects the reports of both ends.
     fn measure(mut self, args: &ActorsArgs, recording: &Recording) -> anyhow::Result<Report> {
         tracing::info!(n_actors = self.n_actors, seconds = args.seconds, "all have joined, sending");
-        let (cpu_before, wire_before) = (self.cpu()?, loopback_bytes());
+        let cpu_before = self.cpu()?;
+        let wire_before = loopback_bytes();
         for part in self.loads.iter_mut().chain([&mut self.ingest]) {
             part.tell(&Order::Go)?;
         }
@@ -213,7 +214,8 @@ fn start_routers(args: &ActorsArgs, folder: &Path) -> anyhow::Result<(String, Ve
     let root = endpoint(args.transport, folder, "root")?;
     let start = |name: String, listen: &str, connect: Option<&String>| {
         let mut router = Part::start(name, "router")?;
-        let (listen, connect) = (vec![listen.to_owned()], connect.cloned().into_iter().collect());
+        let listen = vec![listen.to_owned()];
+        let connect = connect.cloned().into_iter().collect();
         router.tell(&BusConfig { mode: BusMode::Router, listen, connect, ..BusConfig::default() })?;
         anyhow::Ok(router)
     };

@@ -71,7 +71,8 @@ impl Batch {
         for trajectory in trajectories {
             let Some(blueprint) = catalog.find(&trajectory.task.blueprint) else { continue };
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
-            let (policy_lag, fingerprint) = (policy_lag(version, &trajectory), trajectory.fingerprint());
+            let policy_lag = policy_lag(version, &trajectory);
+            let fingerprint = trajectory.fingerprint();
             let first = batch.actions.len();
             let mut is_offered = true;
             for (t, transition) in trajectory.transitions.iter().enumerate() {
@@ -224,7 +225,8 @@ mod tests {
         let of = |kept: &[usize]| batch_of(kept.iter().map(|&at| segments[at].clone()).collect());
         // Rows are the six samples, and then the three last scenes.
         for (row, is_value, removed) in [(0, false, 0), (4, false, 1), (4, true, 1), (5, true, 2), (7, true, 1)] {
-            let (mut values, mut log_probs) = (vec![0.5; 9], vec![-1.0; 6]);
+            let mut values = vec![0.5; 9];
+            let mut log_probs = vec![-1.0; 6];
             *(if is_value { &mut values[row] } else { &mut log_probs[row] }) = f32::NAN;
             let mut batch = of(&[0, 1, 2]);
             assert_eq!(batch.refuse(&values, &log_probs), 1);

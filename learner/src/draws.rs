@@ -93,7 +93,9 @@ mod tests {
         wrong.relative.offset_half_units[0] += 1;
         let other = BlockIdx::all().find(|block| !blueprint.contains(*block)).unwrap();
         let of = |kind, partner| Slot::paired(kind, partner);
-        let (done, not, nothing) = (Some(true), Some(false), None);
+        let done = Some(true);
+        let not = Some(false);
+        let nothing = None;
         for (slot, before, after, expected) in [
             (of(Kind::Join, b), None, Some(right), done),
             (of(Kind::Join, b), Some(wrong), Some(right), done),

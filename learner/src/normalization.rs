@@ -87,7 +87,8 @@ mod tests {
         assert!((after.mean - 3.0).abs() < 1e-12 && (after.std - 1.0).abs() < 1e-12);
         // The second has half of it.
         let later = after.after(&[20.0, 40.0]);
-        let (mut weights, mut bias) = ([0.5, -2.0], 0.25);
+        let mut weights = [0.5, -2.0];
+        let mut bias = 0.25;
         let value = |s: &ValueStatistics, w: &[f32; 2], b: f32| s.std * f64::from(w[0] * 3.0 + w[1] * 7.0 + b) + s.mean;
         let old = value(&after, &weights, bias);
         after.rescale_head(&later, &mut weights, &mut bias);

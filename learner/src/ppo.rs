@@ -346,7 +346,8 @@ mod tests {
                 let learned = ppo.update(&mut batch, &setup.config, &mut state);
                 (learned, batch.refused, ppo.parameters)
             };
-            let (mut spoilt, mut others) = (drawn.clone(), drawn);
+            let mut spoilt = drawn.clone();
+            let mut others = drawn;
             let transition = &mut spoilt[0].transitions[0];
             match move_head {
                 // Its density is 0 in f32.

@@ -180,7 +180,8 @@ fn value_loss_matches() {
 fn entropies_match() {
     let ppo = Ppo::new();
     for (which, name) in [("new", "entropy"), ("old", "old_entropy")] {
-        let (output, expected) = (ppo.output(which), &ppo.golden[name]);
+        let output = ppo.output(which);
+        let expected = &ppo.golden[name];
         let entropy = loss_terms::entropy(&output, None);
         close(name, &to_vec(entropy.blocks), &flat(&expected["categorical"]), 1e-5);
         close(name, &to_vec(entropy.moves), &flat(&expected["gaussian_expected_unique"]), 1e-5);

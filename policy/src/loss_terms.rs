@@ -165,7 +165,8 @@ fn block_logits(output: &NetworkOutput) -> Tensor<3> {
     let [b, n_grippers, n] = logits.dims();
     match &output.draws {
         Some(draws) if n_grippers > 1 => {
-            let (first, second) = (logits.clone().narrow(1, 0, 1), logits.narrow(1, 1, 1));
+            let first = logits.clone().narrow(1, 0, 1);
+            let second = logits.narrow(1, 1, 1);
             Tensor::cat(vec![first, second + draws.blocks.clone().reshape([b, 1, n])], 1)
         }
         _ => logits,

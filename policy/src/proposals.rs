@@ -184,7 +184,9 @@ impl Proposals {
     /// Finds what is proposed for all blocks of a scene.
     pub fn new(observation: &Observation<'_>) -> Self {
         let view = View::new(observation.scene, observation.blueprint);
-        let (mut slots, mut ends, mut joinings) = (Vec::with_capacity(4 * N), [0; N], Vec::with_capacity(2 * N));
+        let mut slots = Vec::with_capacity(4 * N);
+        let mut ends = [0; N];
+        let mut joinings = Vec::with_capacity(2 * N);
         let mut relations = vec![[0.0; N_RELATION]; N * N];
         for i in BlockIdx::all() {
             let others = || BlockIdx::all().filter(|&j| j != i);
@@ -281,7 +283,8 @@ impl<'a> View<'a> {
         }
         let mut held = [false; N];
         scene.grippers.iter().flatten().filter_map(|gripper| gripper.held).for_each(|block| held[block.get()] = true);
-        let (layout, shapes) = (Layout::new(scene, pieces), cells.map(Shape::new));
+        let layout = Layout::new(scene, pieces);
+        let shapes = cells.map(Shape::new);
         Self { blueprint, layout, bodies: scene.bodies(), shapes, links, connections, held }
     }
 
@@ -305,7 +308,8 @@ impl<'a> View<'a> {
         let mut relation = bits.map(|bit| f32::from(u8::from(bit)));
         let Some(link) = link.filter(|_| connection != Connection::Right) else { return (relation, None) };
         let wanted = if link.a == i { link.relative } else { link.relative.inverse() };
-        let (way, place_m) = (self.way(i, j, &wanted), wanted.position_m());
+        let way = self.way(i, j, &wanted);
+        let place_m = wanted.position_m();
         let normal = self.normal(i, j, &wanted, is_joined);
         let (lateral_m, turn_rad) = way.off_axis(&normal);
         relation[4] = (-0.5 * way.n_steps()).exp();

@@ -36,7 +36,8 @@ fn orientation(pose: &Pose) -> UnitQuaternion<f32> {
 fn scattered() -> Scene {
     let turned = UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9);
     let place = |i: usize| {
-        let (angle, radius) = (i as f32, 0.5 + 0.1 * i as f32);
+        let angle = i as f32;
+        let radius = 0.5 + 0.1 * i as f32;
         Pose {
             position: [radius * angle.cos(), radius * angle.sin(), 0.1 + 0.02 * i as f32],
             orientation: turned.coords.into(),
@@ -213,7 +214,8 @@ fn the_larger_of_two_pieces_waits_above_the_ground_until_the_smaller_one_is_alig
         assert!((0..2).all(|k| (after[k] - before[k]).abs() < 1e-5) && after[2] >= before[2]);
     }
     let lowest = {
-        let (own, place) = (&scene.blocks[large.get()], goal.relative(large, small).unwrap());
+        let own = &scene.blocks[large.get()];
+        let place = goal.relative(large, small).unwrap();
         own.position[2].min(own.position[2] + (orientation(own) * place.position_m()).z)
     };
     assert!((lowest - 0.5).abs() < 1e-4, "{lowest}");
@@ -224,7 +226,8 @@ fn the_larger_of_two_pieces_waits_above_the_ground_until_the_smaller_one_is_alig
 
 #[test]
 fn far_moves_are_scaled_so_that_shift_and_turn_arrive_together_and_noise_grows_with_the_move() {
-    let (goal, mut scene) = (goal("2_000"), with_one_gripper(scattered()));
+    let goal = goal("2_000");
+    let mut scene = with_one_gripper(scattered());
     let link = goal.links()[0];
     let high = BlockIdx::all().find(|&block| block != link.a && block != link.b).unwrap();
     scene.blocks[high.get()].position[2] = 1.0;
@@ -264,7 +267,8 @@ fn what_does_nothing_is_not_proposed_and_wrong_connections_can_be_broken() {
 
 #[test]
 fn hold_rises_to_half_a_meter_and_no_higher() {
-    let (goal, mut scene) = (goal("2_000"), scattered());
+    let goal = goal("2_000");
+    let mut scene = scattered();
     let held = block(5);
     let rises = |scene: &Scene| {
         let hold = proposals(scene, &goal).get(held, Slot::alone(Kind::Hold)).unwrap();
@@ -281,11 +285,13 @@ fn hold_rises_to_half_a_meter_and_no_higher() {
 
 #[test]
 fn a_block_that_was_pushed_in_vain_goes_back() {
-    let (goal, mut scene) = (goal("2_000"), scattered());
+    let goal = goal("2_000");
+    let mut scene = scattered();
     let link = goal.links()[0];
     let joined = |scene: &Scene| {
         let own = &scene.blocks[link.a.get()];
-        let (from, to) = (own.position, moved(own, &join(scene, &goal, link.a, link.b)).position);
+        let from = own.position;
+        let to = moved(own, &join(scene, &goal, link.a, link.b)).position;
         [0, 1, 2].map(|axis| to[axis] - from[axis])
     };
     let free = joined(&scene);

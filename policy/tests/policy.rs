@@ -270,7 +270,8 @@ fn initial_values_follow_haiku() {
         assert_ne!(values, parameters::flatten(&Network::init(&config, &sizes, 12, &Device::flex())));
         for (spec, span) in parameters::spans(network.table()) {
             let part = &values[span];
-            let (fan_in, fan_out) = (spec.shape[0] as f32, spec.shape[spec.shape.len() - 1] as f32);
+            let fan_in = spec.shape[0] as f32;
+            let fan_out = spec.shape[spec.shape.len() - 1] as f32;
             // A unit normal truncated at ±2 has standard deviation 0.8796.
             let (std, limit) = match spec.initializer {
                 Initializer::Constant(x) => {

@@ -42,7 +42,8 @@ fn rate<A: Agent<Error: Debug>>(mut agent: A, mode: ActionMode, seed: u64) -> f6
     let mut rngs: Vec<ChaCha8Rng> = (0..N_WORLDS as u64).map(|row| generator(seed, row)).collect();
     let begin = |envs: &mut VecEnv<World>, row: usize, rng: &mut ChaCha8Rng| {
         let mut draw = || {
-            let (blueprint, assignment) = (goals[rng.random_range(0..goals.len())].clone(), sample_assignment(rng));
+            let blueprint = goals[rng.random_range(0..goals.len())].clone();
+            let assignment = sample_assignment(rng);
             Task { blueprint, assignment, start: Start::Scattered, seed: rng.random() }
         };
         let first = draw();

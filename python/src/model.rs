@@ -108,7 +108,8 @@ impl Model {
         for Parameter { name, shape } in &header.table {
             let tensor = tensors.tensor(name)?;
             if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
-                let (dtype, found) = (tensor.dtype(), tensor.shape().to_vec());
+                let dtype = tensor.dtype();
+                let found = tensor.shape().to_vec();
                 let (name, expected) = (name.clone(), shape.clone());
                 return Err(ModelError::Tensor { name, dtype, shape: found, expected });
             }

@@ -54,8 +54,11 @@ pub(crate) type Features<'a> = [&'a mut [f32]; 3];
 
 impl Row {
     pub(crate) fn new(world: World, rng: ChaCha8Rng) -> Self {
-        let (opening, history, noise) = (world.scene().clone(), History::default(), noise_beside(&rng));
-        let (task, status) = (None, Status::Running);
+        let opening = world.scene().clone();
+        let history = History::default();
+        let noise = noise_beside(&rng);
+        let task = None;
+        let status = Status::Running;
         Self { world, rng, noise, task, status, opening, stage: None, expert: None, proposals: None, history }
     }
 
@@ -130,7 +133,8 @@ impl Row {
     /// Returns an error if too much has happened since the last fresh start.
     pub(crate) fn state(&self) -> Result<RowState, HistoryError> {
         let (seed, stream, position) = (self.rng.get_seed(), self.rng.get_stream(), self.rng.get_word_pos());
-        let (episodes, last) = (self.history.state()?, fingerprint(self.world.scene()));
+        let episodes = self.history.state()?;
+        let last = fingerprint(self.world.scene());
         Ok((seed.to_vec(), stream, position, episodes, last, self.noise.get_word_pos()))
     }
 

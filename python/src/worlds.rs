@@ -92,7 +92,9 @@ impl Worlds {
         }
         // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
         tasks.goals.warn(py, 3)?;
-        let (sizes, rows, easel) = (FeatureSizes::new(&features), Mutex::new(rows), Mutex::default());
+        let sizes = FeatureSizes::new(&features);
+        let rows = Mutex::new(rows);
+        let easel = Mutex::default();
         Ok(Self { config, features, sizes, tasks, starts, shuffle_blocks, rows, n_threads, easel })
     }
 
@@ -430,7 +432,8 @@ impl Worlds {
 
 /// Makes room for `n` worlds. The engine cannot report that memory has run out while it grows, so this tries first.
 fn room_for(n: usize) -> PyResult<Vec<Row>> {
-    let (mut rows, mut trial) = (Vec::new(), Vec::<u8>::new());
+    let mut rows = Vec::new();
+    let mut trial = Vec::<u8>::new();
     let n_bytes = n.saturating_mul(WORLD_BYTES);
     let fits = trial.try_reserve_exact(n_bytes).and_then(|()| rows.try_reserve_exact(n));
     // An allocation that nobody looks at could be optimized away.

@@ -351,7 +351,8 @@ mod tests {
     /// The events of a file that consists of whole records.
     fn events(path: &Path) -> Vec<Event> {
         let bytes = fs::read(path).unwrap();
-        let (mut rest, mut events) = (&bytes[..], Vec::new());
+        let mut rest = &bytes[..];
+        let mut events = Vec::new();
         while !rest.is_empty() {
             let length = u64::from_le_bytes(rest[..8].try_into().unwrap()) as usize;
             events.push(Event::decode(&rest[12..12 + length]).unwrap());

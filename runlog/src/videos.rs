@@ -57,7 +57,8 @@ pub struct VideoName {
 impl VideoName {
     /// Returns the file name without the extension; the names of a blueprint sort by version.
     pub fn name(&self) -> String {
-        let (version, ending) = (self.version.0, self.ending.name());
+        let version = self.version.0;
+        let ending = self.ending.name();
         match self.number {
             0 | 1 => format!("{version:08}-{ending}"),
             number => format!("{version:08}-{ending}-{number}"),
@@ -85,7 +86,8 @@ impl VideoStore {
     pub fn put(&self, blueprint: &BlueprintId, label: VideoName, bytes: &[u8]) -> io::Result<PathBuf> {
         let folder = self.folder.join(blueprint.as_str());
         fs::create_dir_all(&folder)?;
-        let (name, kind) = (label.name(), self.kind);
+        let name = label.name();
+        let kind = self.kind;
         let (path, part) = (folder.join(format!("{name}.{kind}")), folder.join(format!(".{name}.{kind}.part")));
         fs::write(&part, bytes)?;
         fs::rename(&part, &path)?;

@@ -198,7 +198,9 @@ fn end_of_lines(file: &mut File) -> io::Result<u64> {
 /// Removes the lines of more than `n_env_steps` environment steps, and broken ones. The rest of the file is written
 /// over, not copied, so that a full disk cannot prevent it.
 fn keep_until(file: &mut File, n_env_steps: u64) -> io::Result<()> {
-    let (mut whole, mut kept, mut is_whole) = (0, Vec::new(), true);
+    let mut whole = 0;
+    let mut kept = Vec::new();
+    let mut is_whole = true;
     let mut reader = BufReader::new(&*file);
     let mut line = Vec::new();
     while reader.read_until(b'\n', &mut line)? > 0 {
@@ -266,7 +268,8 @@ pub fn lines<M: DeserializeOwned>(
     };
     let start = format!("{{\"key\":\"{key}\"").into_bytes();
     let (mut found, mut n_unread): (Vec<M>, usize) = (Vec::new(), 0);
-    let (mut reader, mut line) = (BufReader::new(file), Vec::new());
+    let mut reader = BufReader::new(file);
+    let mut line = Vec::new();
     while (&mut reader).take(MAX_LINE_BYTES).read_until(b'\n', &mut line)? > 0 {
         if line.starts_with(&start) {
             match serde_json::from_slice::<M>(&line) {

@@ -210,7 +210,8 @@ fn trackers_are_told_what_was_recorded() {
     let kept = tracked("mlflow", &store);
     assert_eq!(kept["config"]["bus.run"], "smoke");
     assert!(!kept["metrics"]["success-greedy/all"].as_array().unwrap().is_empty());
-    let (recorded, logged) = (updates(), kept["metrics"]["learner/ppo/entropy"].as_array().unwrap());
+    let recorded = updates();
+    let logged = kept["metrics"]["learner/ppo/entropy"].as_array().unwrap();
     assert!(!logged.is_empty() && logged.iter().all(|update| recorded.contains(update)), "{logged:?}: {recorded:?}");
 
     // Track everything that a finished run left behind.

@@ -112,7 +112,8 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     let trained = trained.args(["--set", "evaluator.evaluate_last=true"]);
     finished(trained);
     let kept: Vec<u64> = RunPaths::new(folder.path().join("run")).snapshots().into_keys().collect();
-    let (first, last) = (kept[0], kept[kept.len() - 1]);
+    let first = kept[0];
+    let last = kept[kept.len() - 1];
     assert!(first < last, "{kept:?}");
     let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "run"]));
     let address = format!("http://{address}/");
@@ -122,7 +123,8 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
         browser.until(&format!("replay.episode?.caption?.startsWith('policy after {after} steps')"));
         browser.run("return [replay.episode.weights_version, replay.episode.scenes[0].blocks]")
     };
-    let (of_last, slider) = (builds(last), browser.element("#snapshot"));
+    let of_last = builds(last);
+    let slider = browser.element("#snapshot");
     // The slider goes back to the first one, which builds from the same start.
     slider.press(HOME);
     let of_first = builds(first);
@@ -147,8 +149,8 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     browser.until("document.querySelector('#replay-note').textContent.startsWith('there is no snapshot after 1 ')");
     assert!(errors(&browser).iter().all(|entry| entry["source"] == "network"));
     // Other commands read a snapshot as well.
-    let (kept, eval) =
-        (format!("run/snapshots/{first}.safetensors"), ["eval", "--episodes", "1", "--blueprint", "2_000"]);
+    let kept = format!("run/snapshots/{first}.safetensors");
+    let eval = ["eval", "--episodes", "1", "--blueprint", "2_000"];
     let report = printed_json(lodestone(folder.path()).args(eval).args(["--json", "--checkpoint", &kept]));
     assert_eq!(report["summary"]["n_env_steps"], first);
 }

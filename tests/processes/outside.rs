@@ -42,7 +42,8 @@ fn what_a_terminal_would_act_on_is_escaped() {
     let folder = tempfile::tempdir().unwrap();
     let text = Catalog::builtin().get(&"2_003".parse().unwrap()).unwrap().to_toml("a test");
     let title = text.lines().find(|line| line.starts_with("title")).unwrap();
-    let (name, title) = ("a\u{202e}\u{1b}[2Jb.toml", text.replace(title, "title = \"x\\u001b[31m\\ny\\u202e\""));
+    let name = "a\u{202e}\u{1b}[2Jb.toml";
+    let title = text.replace(title, "title = \"x\\u001b[31m\\ny\\u202e\"");
     fs::write(folder.path().join(name), title).unwrap();
     let listed = printed(lodestone(folder.path()).args(["blueprints", "list", name]));
     assert!(listed.ends_with("x\\u001b[31m\\ny\\u202e\n"), "{listed}");

@@ -93,7 +93,8 @@ fn a_disturbed_episode_goes_on_from_there_and_comes_back_with_its_link() {
     disturbed(2);
     browser.until("!replay.playing && replay.time === replay.n && location.search.includes('step=')");
     assert!(browser.text("#hand-text").starts_with("Disturbed at step 9: "), "{}", browser.text("#hand-text"));
-    let (seen, twice) = (scenes("0"), address());
+    let seen = scenes("0");
+    let twice = address();
     browser.open("about:blank");
     browser.open(&twice);
     browser.until("replay.episode?.disturbances.length === 2");

@@ -104,7 +104,8 @@ fn closed(folder: &Path, name: &str, args: &[&str], words: &str) -> Receiver<()>
     script.args(["--quiet", "--flush", "--command"]).arg(line).arg("/dev/null").current_dir(folder);
     script.env("TERM", "xterm").stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut script = Process(script.spawn().unwrap());
-    let (mut printed, mut is_asked) = (String::new(), false);
+    let mut printed = String::new();
+    let mut is_asked = false;
     let mut screen = script.0.stdout.take().unwrap();
     let mut bytes = [0; 4096];
     while !printed.contains(words) {

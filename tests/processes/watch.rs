@@ -53,7 +53,8 @@ async fn a_run_is_printed_once() {
         put(&bus, "learner", &sample(include_str!("../../dashboard/tests/metrics/learner.json"))).await,
     ];
     let output = watch(folder.path(), &["--run", "default", "--once", "--timeout", "60"]).await;
-    let (stdout, stderr) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8_lossy(&output.stderr));
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{stderr}");
     for words in [
         "Run default at unixsock-stream/",

@@ -92,7 +92,8 @@ fn dependencies_point_one_way() {
 
 /// The crates of the workspace that `member` builds with, including itself.
 fn closure(member: &str) -> BTreeSet<String> {
-    let (members, mut found) = (members(), BTreeSet::new());
+    let members = members();
+    let mut found = BTreeSet::new();
     let mut open = vec![member.to_owned()];
     while let Some(next) = open.pop() {
         let inside = dependencies(&next, &["dependencies"]).into_iter().filter(|name| members.contains(name));

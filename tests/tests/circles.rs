@@ -77,7 +77,9 @@ fn absolute(module: &Module, path: &Module, sources: &Sources) -> Option<Module>
 /// Reads what the file of `module` names.
 fn names(module: &Module, sources: &Sources) -> Names {
     let tokens = tokens(&sources[module]);
-    let (mut exports, mut uses, mut rest) = (Vec::new(), Vec::new(), &tokens[..]);
+    let mut exports = Vec::new();
+    let mut uses = Vec::new();
+    let mut rest = &tokens[..];
     while let Some(first) = rest.first() {
         let before = &tokens[..tokens.len() - rest.len()];
         let comes_after = |signs: &[&str]| before.last().is_some_and(|last| signs.contains(&last.as_str()));
@@ -118,7 +120,8 @@ fn circles(sources: &Sources) -> Vec<String> {
     let needs: BTreeMap<&Module, BTreeSet<Module>> =
         names.iter().map(|(module, file)| (*module, homes(file))).collect();
     let leads_to = |from: &Module, to: &Module| {
-        let (mut open, mut seen) = (vec![from], BTreeSet::from([from]));
+        let mut open = vec![from];
+        let mut seen = BTreeSet::from([from]);
         while let Some(next) = open.pop() {
             open.extend(needs[next].iter().filter(|need| seen.insert(*need)));
         }

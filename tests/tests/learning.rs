@@ -65,7 +65,8 @@ impl Ring {
             seed: self.config.seed,
         };
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
-        let (policy, weights) = (self.config.part(|config| &config.policy), self.learner.weights());
+        let policy = self.config.part(|config| &config.policy);
+        let weights = self.learner.weights();
         let report = evaluate(&setup, &policy, &weights, &blueprints, &|| true).unwrap();
         let all = report.summary.all;
         if all.greedy.success.n_episodes > 0 { all.greedy.success.rate } else { all.sampled.success.rate }

@@ -238,7 +238,8 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
 /// Returns untrained weights that become unusable once the first gripper holds a block outside the catalog's first
 /// goal. In the trial's scene, it does not.
 fn trap(version: u64) -> Weights {
-    let (mut weights, config) = (toy::weights(version, 1.0), toy::policy());
+    let mut weights = toy::weights(version, 1.0);
+    let config = toy::policy();
     let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());
     let goal = Catalog::builtin().iter().next().unwrap();
     let mut at = 0;

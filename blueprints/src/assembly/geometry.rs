@@ -145,7 +145,8 @@ impl Geometry {
         let axis = axis_of(up);
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         let mut corners = Vec::with_capacity(4 * placed.len());
-        let (mut volume, mut moment) = (0, [0, 0]);
+        let mut volume = 0;
+        let mut moment = [0, 0];
         for part in placed.iter() {
             let b = &self.boxes[part];
             volume += b.volume();

@@ -115,7 +115,8 @@ impl Shared {
 impl Computed {
     fn new(placements: &[Placement]) -> Result<Self, NoAssembly> {
         let mut assembly = Assembly::of_placements(placements)?;
-        let (mut placed, mut rank) = (Parts::default(), 0);
+        let mut placed = Parts::default();
+        let mut rank = 0;
         let mut steps = vec![PlanStep { rank: placements.len(), way_half_units: [0; 3] }; placements.len()];
         while let Some(part) = assembly.next(0, placed) {
             let way = assembly.approach(0, placed, Parts::one(part));

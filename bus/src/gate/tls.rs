@@ -21,7 +21,8 @@ pub(super) type Certificate = CertificateDer<'static>;
 /// The configuration of a router, and how long its certificate is still valid.
 pub(super) fn server(keys: &Keys) -> Result<(ServerConfig, Duration), KeysError> {
     let (chain, key) = identity(keys)?;
-    let (provider, roots) = (provider(), Arc::new(roots(keys)?));
+    let provider = provider();
+    let roots = Arc::new(roots(keys)?);
     let verifier = WebPkiClientVerifier::builder_with_provider(roots, Arc::clone(&provider)).build();
     let verifier = verifier.map_err(|error| unusable(&keys.path(AUTHORITY_FILE), error))?;
     let builder = ServerConfig::builder_with_provider(provider).with_protocol_versions(&[&TLS13]);

@@ -43,7 +43,9 @@ pub(super) fn open(
     let failed = |error| BusError::Listen { endpoint: entrance.display().to_string(), error };
     let (host, port) = address(endpoint).ok_or_else(|| failed(io::ErrorKind::InvalidInput.into()))?;
     let connector = TlsConnector::from(Arc::new(tls::client(keys)?));
-    let (endpoint, host, failing) = (endpoint.to_owned(), host.to_owned(), Mutex::new(None));
+    let endpoint = endpoint.to_owned();
+    let host = host.to_owned();
+    let failing = Mutex::new(None);
     let router = Arc::new(Router { endpoint, host, port, connector, limit, closing: closing.clone(), failing });
     let listener = UnixListener::bind(entrance).map_err(failed)?;
     let its_tasks = tasks.clone();

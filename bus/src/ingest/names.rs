@@ -33,7 +33,8 @@ impl Names {
     /// Follows the actors' tokens, including the existing ones.
     pub(super) async fn follow(bus: &Bus) -> Result<Self, BusError> {
         let register: Arc<Mutex<Register>> = Arc::default();
-        let (prefix, shared) = (keys::live(Role::Actor, ""), register.clone());
+        let prefix = keys::live(Role::Actor, "");
+        let shared = register.clone();
         let tokens = bus.session.liveliness().declare_subscriber(keys::live_all(Role::Actor)).history(true);
         let subscriber = tokens
             .callback(move |sample| {

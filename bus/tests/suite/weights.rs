@@ -96,7 +96,8 @@ async fn a_pull_that_nobody_answers_is_repeated() {
     let cluster = Cluster::start().await;
     let script = cluster.script().await;
     // Drops the first query, like a router that does not know the way yet, and sends no notice later.
-    let (n_asked, bytes) = (AtomicU8::new(0), codec::encode_weights(&samples::weights(3), 1));
+    let n_asked = AtomicU8::new(0);
+    let bytes = codec::encode_weights(&samples::weights(3), 1);
     let learner = script.declare_queryable("lodestone/default/weights/latest").complete(true).callback(move |query| {
         if n_asked.fetch_add(1, Ordering::Relaxed) > 0 {
             drop(query.reply("lodestone/default/weights/latest", bytes.clone()).wait());

@@ -86,7 +86,8 @@ pub async fn live(config: Valid<BusConfig>, shutdown: CancellationToken) -> Resu
     if !io::stdout().is_terminal() {
         return Err(WatchError::NoTerminal);
     }
-    let (named, start) = (config.clone(), Instant::now());
+    let named = config.clone();
+    let start = Instant::now();
     following(config, start, shutdown, async |run, shutdown| Ok(screen::show(run, &named, start, &shutdown).await?))
         .await
 }
@@ -102,7 +103,8 @@ pub async fn once(
     patience: Duration,
     shutdown: CancellationToken,
 ) -> Result<String, WatchError> {
-    let (its_config, start) = (config.clone(), Instant::now());
+    let its_config = config.clone();
+    let start = Instant::now();
     following(config, start, shutdown, async |mut run, shutdown| {
         let arrived = tokio::select! {
             () = shutdown.cancelled() => return Ok(String::new()),

@@ -83,7 +83,8 @@ impl Screen {
     /// Sets up the terminal. A panic on any thread restores it before printing its message, and cancels `shutdown`.
     fn take(shutdown: CancellationToken) -> io::Result<Self> {
         let is_taken = Arc::new(AtomicBool::new(true));
-        let (before, was_taken) = (panic::take_hook(), is_taken.clone());
+        let before = panic::take_hook();
+        let was_taken = is_taken.clone();
         panic::set_hook(Box::new(move |panic| {
             give_back(&was_taken);
             shutdown.cancel();

@@ -126,7 +126,8 @@ impl Replays {
                 () = self.wanted.notified() => {}
             }
             let watched = async {
-                let (mut viewer, mut collector) = (bus.trajectory_viewer(None).await.ok()?, Collector::default());
+                let mut viewer = bus.trajectory_viewer(None).await.ok()?;
+                let mut collector = Collector::default();
                 let episode = async {
                     loop {
                         if let Some(episode) = collector.add(viewer.recv().await?) {

@@ -258,7 +258,8 @@ async fn set_headers(State(guard): State<Arc<Guard>>, request: Request, next: Ne
 /// and this page could each go by another one.
 fn names_two_hosts(request: &Request) -> bool {
     let mut hosts = request.headers().get_all(HOST).iter().map(HeaderValue::as_bytes);
-    let (first, is_single) = (hosts.next(), hosts.next().is_none());
+    let first = hosts.next();
+    let is_single = hosts.next().is_none();
     let is_same = |named: &str| first.is_some_and(|host| host.eq_ignore_ascii_case(named.as_bytes()));
     !is_single || request.uri().authority().is_some_and(|named| !is_same(named.as_str()))
 }
@@ -312,7 +313,8 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
 /// history.
 fn keep_in_cookie(token: &Token, path: &str, query: &str) -> Response {
     // `Lax`, because `Strict` would reject a first visit through a link from another site.
-    let (of_token, token) = (proto::config_hash(&token.reveal()), token.reveal());
+    let of_token = proto::config_hash(&token.reveal());
+    let token = token.reveal();
     let cookie = format!("{COOKIE_NAME}_{of_token:016x}={token}; Path=/; HttpOnly; SameSite=Lax");
     // Keep one leading slash: with two, the path would name another host.
     let path = format!("/{}{}{query}", path.trim_start_matches('/'), if query.is_empty() { "" } else { "?" });

@@ -120,7 +120,8 @@ pub(super) async fn serve(listener: TcpListener, routes: Router, board: Arc<Boar
 
 /// Serves one request on a connection, which then either ends soon or is an event stream.
 async fn answer(stream: TcpStream, connection: Connection, routes: Router, board: Arc<Board>) {
-    let (routes, of_request) = (TowerToHyperService::new(routes), connection.clone());
+    let routes = TowerToHyperService::new(routes);
+    let of_request = connection.clone();
     let service = service_fn(move |request: hyper::Request<Incoming>| {
         *of_request.progress.lock() = Progress::Asked;
         let mut request = request.map(Body::new);

@@ -210,7 +210,8 @@ impl Order {
     fn named(query: &str, catalog: &Catalog) -> Result<Self, String> {
         let wishes = Wishes::parse(query)?;
         let id = wishes.id.ok_or_else(|| "blueprint=… is missing".to_owned())?;
-        let (blueprint, before) = (known(id, catalog)?, wishes.before(catalog)?);
+        let blueprint = known(id, catalog)?;
+        let before = wishes.before(catalog)?;
         Ok(wishes.of(blueprint, before))
     }
 

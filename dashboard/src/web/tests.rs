@@ -66,8 +66,11 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
 }
 
 fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> About {
-    let (blueprints, farewell) = (Vec::new(), Farewell { ended: "the program", command: None });
-    let (run, n_env_steps, origin) = (run.to_owned(), Some(n_env_steps), Value::Null);
+    let blueprints = Vec::new();
+    let farewell = Farewell { ended: "the program", command: None };
+    let run = run.to_owned();
+    let n_env_steps = Some(n_env_steps);
+    let origin = Value::Null;
     About { kind, run, preset: None, n_env_steps, blueprints, catalog, farewell, origin }
 }
 
@@ -571,12 +574,15 @@ async fn runs_that_have_ended_stand_side_by_side() {
         let about = about(Kind::Finished, name, n_env_steps, catalog);
         let (policy, weights) = untrained();
         let run = RunPaths::new(dir.path());
-        let (evaluations, weights) = (vec![evaluation(n_env_steps, &[])], Some(Arc::new(weights)));
+        let evaluations = vec![evaluation(n_env_steps, &[])];
+        let weights = Some(Arc::new(weights));
         FinishedRun { about, evaluations, learner: Vec::new(), run, policy, weights, stage: None }
     };
     let page = Page::bind(&Valid::default()).await.unwrap();
-    let (address, shutdown) = (page.address(), CancellationToken::new());
-    let (first, others) = (finished("a", 100, Catalog::builtin().clone()), vec![finished("b", 200, own)]);
+    let address = page.address();
+    let shutdown = CancellationToken::new();
+    let first = finished("a", 100, Catalog::builtin().clone());
+    let others = vec![finished("b", 200, own)];
     let all = Finished { first, others, sweep: Some(json!({ "points": [] })) };
     let task = tokio::spawn(page.show(all, shutdown.clone()));
     let ask =

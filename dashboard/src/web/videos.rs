@@ -32,7 +32,8 @@ impl Videos {
     pub(super) fn list(&self) -> Value {
         let view = |video: &VideoFile| {
             let VideoFile { blueprint, label, .. } = video;
-            let (version, ending) = (label.version, label.ending.name());
+            let version = label.version;
+            let ending = label.ending.name();
             json!({ "id": id(video), "blueprint": blueprint, "weights_version": version, "ending": ending })
         };
         self.all().iter().take(MAX_LISTED).map(view).collect()

@@ -92,14 +92,16 @@ impl ConfigArgs {
         if let Some(folder) = resume {
             // Runs of earlier versions name no base; like all others, they are merged over the defaults.
             let path = RunPaths::new(folder).config();
-            let (text, origin) = (read(&path)?, path.display().to_string());
+            let text = read(&path)?;
+            let origin = path.display().to_string();
             let before = Config::parse(&text, &origin)?;
             let settings = settings(&text, &origin, Base::Defaults, origin.clone(), None)?;
             goes_on(&before, &settings.config, folder)?;
             return Ok(settings);
         }
         if let Some(file) = &self.config {
-            let (text, origin) = (read(file)?, file.display().to_string());
+            let text = read(file)?;
+            let origin = file.display().to_string();
             let base = self.base(&text, &origin)?;
             return settings(&text, &origin, base, format!("{origin} over {base}"), None);
         }
@@ -229,7 +231,8 @@ mod tests {
     fn an_ablation_changes_its_own_keys_alone() {
         let load = |ablation: &str, set: &[&str]| {
             let set = set.iter().map(|&text| text.to_owned()).collect();
-            let (preset, ablation) = (Some("laptop".to_owned()), Some(ablation.to_owned()));
+            let preset = Some("laptop".to_owned());
+            let ablation = Some(ablation.to_owned());
             let args = ConfigArgs { preset, ablation, set, ..ConfigArgs::default() };
             args.load(None, Vec::new()).unwrap()
         };

@@ -52,7 +52,8 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     };
     let n_planned = setup.episodes.acting.len() * blueprints.len();
     let n_planned = n_planned as u64 * u64::from(setup.episodes.n_episodes);
-    let (episodes, start) = (EpisodeCounter::new(terminal.on_stderr(), n_planned), Instant::now());
+    let episodes = EpisodeCounter::new(terminal.on_stderr(), n_planned);
+    let start = Instant::now();
     let follower =
         Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
     let endings = args.endings.then(Endings::default);

@@ -74,7 +74,8 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         seed: config.seed,
     };
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
-    let (episodes, start) = (EpisodeCounter::new(terminal.on_stderr(), n_planned), Instant::now());
+    let episodes = EpisodeCounter::new(terminal.on_stderr(), n_planned);
+    let start = Instant::now();
     let follower =
         Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
     let report = evaluate_expert_followed(&setup, &blueprints, &follower);

@@ -77,7 +77,8 @@ impl Goals {
                 Catalog::of_one(found?.into_owned())
             };
             for blueprint in found.iter() {
-                let (id, structure) = (blueprint.id().clone(), blueprint.canonical_hash());
+                let id = blueprint.id().clone();
+                let structure = blueprint.canonical_hash();
                 if !is_repeated(&before, &id, structure, name)? {
                     before.push(Named { id, structure, name: name.clone() });
                 }

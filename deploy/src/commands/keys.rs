@@ -13,7 +13,8 @@ pub(super) fn run(command: &KeysCommand, terminal: &Terminal) -> Result<(), Fail
             terminal.print(&format!("{} holds keys already, which are kept", args.dir.display()));
         }
         KeysCommand::New(args) => {
-            let (dir, hosts) = (shell::path(&args.dir), args.certificate.hosts());
+            let dir = shell::path(&args.dir);
+            let hosts = args.certificate.hosts();
             keys::create(&args.dir, &hosts, args.certificate.days)?;
             terminal.print(&format!(
                 "keys for {} days in {dir}, for a router at {}\n\

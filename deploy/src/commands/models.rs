@@ -125,7 +125,8 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
     } else {
         model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?
     };
-    let (n_bytes, n_steps) = (bytes.len(), model.weights.n_env_steps);
+    let n_bytes = bytes.len();
+    let n_steps = model.weights.n_env_steps;
     let name = args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     write_files(folder, &[(name, bytes)])?;

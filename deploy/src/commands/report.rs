@@ -33,7 +33,8 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if let Some(results) = sweep::results(&args.run)? {
         return of_sweep(args, &results, stdout);
     }
-    let (acting, all) = (args.acting, history(&args.run)?);
+    let acting = args.acting;
+    let all = history(&args.run)?;
     let evaluations = shown(&all, &args.run, terminal);
     let grid = Grid::success(&evaluations, acting).ok_or_else(|| nothing(&args.run, &evaluations, acting))?;
     let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&evaluations, acting))];
@@ -170,7 +171,8 @@ fn shown<'p>(all: &'p [Evaluation], run: &Path, terminal: &Terminal) -> Vec<&'p 
     let evaluations = lineage(all);
     let n_left_out = all.len() - evaluations.len();
     if n_left_out > 0 {
-        let (run, left_out) = (run.display(), count(n_left_out, "evaluation"));
+        let run = run.display();
+        let left_out = count(n_left_out, "evaluation");
         terminal.print(&format!("{run}: left out {left_out} that the run repeated after it was resumed"));
     }
     evaluations

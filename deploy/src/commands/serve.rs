@@ -106,7 +106,8 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.catalog;
     let blueprints = config.evaluator.selection.blueprints.clone();
-    let (preset, origin) = (preset_of(&paths), origin_of(&paths, &config));
+    let preset = preset_of(&paths);
+    let origin = origin_of(&paths, &config);
     let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin };
     Ok(FinishedRun { about, evaluations, learner, run: paths, policy, weights, stage })
 }

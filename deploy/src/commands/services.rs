@@ -95,7 +95,9 @@ pub(super) async fn run_learner(
     let mut shown = None;
     let mut is_complete = false;
     let ended = on_bus(config, &health, &shutdown, async |bus| {
-        let (actors, whole, terminal) = (bus.alive(Role::Actor).await?, config.clone(), terminal.clone());
+        let actors = bus.alive(Role::Actor).await?;
+        let whole = config.clone();
+        let terminal = terminal.clone();
         // The evaluator shows evaluations.
         let reports = watch::channel(None).1;
         shown =
@@ -392,7 +394,8 @@ pub(super) fn run_options(
     source: Box<dyn TrajectorySource>,
     metrics_sender: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
-    let (run_dir, max_env_steps) = (run_dir.paths().clone(), Some(config.n_env_steps));
+    let run_dir = run_dir.paths().clone();
+    let max_env_steps = Some(config.n_env_steps);
     RunOptions { setup, run_dir, resume, max_env_steps, source, metrics_sender, save_retry: SAVE_RETRY }
 }
 

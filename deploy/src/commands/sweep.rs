@@ -129,7 +129,8 @@ fn script(folder: &Path, n_runs: usize, n_jobs: Option<u16>) -> Result<String, F
     let program = std::env::current_exe().map_err(|error| Failure::Service(error.into()))?;
     let (folder, program): (PathBuf, _) = (absolute(folder)?, shell::path(&program));
     let at_a_time = n_jobs.map_or_else(String::new, |n| format!("%{n}"));
-    let (last, output) = (n_runs.saturating_sub(1), shell::path(&folder.join("slurm-%A-%a.log")));
+    let last = n_runs.saturating_sub(1);
+    let output = shell::path(&folder.join("slurm-%A-%a.log"));
     let folder = shell::path(&folder);
     Ok(format!(
         "#!/usr/bin/env bash\n\

@@ -361,7 +361,9 @@ fn takes(preset: &Preset, n_env_steps: u64) -> String {
 fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
     // Without a higher step limit, a complete run would stop at once.
     let steps = if is_complete { " --steps N" } else { "" };
-    let (shown, path, program) = (run_dir.path().display(), shell::path(run_dir.path()), program());
+    let shown = run_dir.path().display();
+    let path = shell::path(run_dir.path());
+    let program = program();
     format!(
         "\nsaved in {shown}\n  evaluate it: {program} eval --checkpoint {path}\n  \
          continue it: {program} train --resume {path}{steps}\n  \

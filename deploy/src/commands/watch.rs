@@ -29,7 +29,9 @@ const NOTICE: Duration = Duration::from_secs(3);
 pub(super) async fn run(args: &WatchArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let config = Valid::new(joining(args)?).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     if args.once {
-        let (run, endpoints, seconds) = (config.run.clone(), config.connect.join(", "), args.timeout);
+        let run = config.run.clone();
+        let endpoints = config.connect.join(", ");
+        let seconds = args.timeout;
         let format = if args.json { Format::Json } else { Format::Text };
         let notice = async {
             tokio::time::sleep(NOTICE).await;
@@ -68,7 +70,9 @@ fn joining(args: &WatchArgs) -> Result<BusConfig, Failure> {
     };
     check_run(&folder)?;
     if !is_training(&folder) {
-        let (shown, path, program) = (folder.display(), shell::path(&folder), shell::program());
+        let shown = folder.display();
+        let path = shell::path(&folder);
+        let program = shell::program();
         return Err(Failure::Usage(format!(
             "no training listens in {shown}; `{program} serve {path}` shows its files"
         )));

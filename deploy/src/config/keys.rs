@@ -137,7 +137,9 @@ fn values(schema: &Schema) -> String {
 /// Puts a comment with the meaning, the values, and the default before each key and section of a configuration.
 pub fn explain(text: &str) -> String {
     let keys = keys();
-    let (mut section, mut kind, mut explained) = (String::new(), None, String::new());
+    let mut section = String::new();
+    let mut kind = None;
+    let mut explained = String::new();
     for line in text.lines() {
         let header = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']'));
         let name = match (header, line.split_once(" = ")) {

@@ -30,7 +30,8 @@ impl Pace {
     /// Estimates the seconds from these metrics until the run reaches `n_env_steps`; `None` for the first metrics.
     pub(super) fn left_s(&mut self, learner: &LearnerMetrics, n_env_steps: u64) -> Option<f64> {
         let (since_s, since_steps) = *self.first.get_or_insert((learner.elapsed_s, learner.n_env_steps));
-        let (seconds, n_steps) = (learner.elapsed_s - since_s, learner.n_env_steps.checked_sub(since_steps)?);
+        let seconds = learner.elapsed_s - since_s;
+        let n_steps = learner.n_env_steps.checked_sub(since_steps)?;
         let n_left = n_env_steps.saturating_sub(learner.n_env_steps);
         (seconds > 0.0 && n_steps > 0).then(|| seconds * n_left as f64 / n_steps as f64)
     }
@@ -53,7 +54,8 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
         let when = if learner.n_episodes == 0 { "yet" } else { "in this update" };
         format!("no episode of the policy ended {when}")
     } else {
-        let (rate, n_episodes) = (100.0 * episodes.success.rate, episodes.success.n_episodes);
+        let rate = 100.0 * episodes.success.rate;
+        let n_episodes = episodes.success.n_episodes;
         format!("success {rate:5.1} % of {n_episodes} episodes  return {:6.2}", episodes.mean_return.total())
     };
     if let Some(evaluated) = context.evaluated {

@@ -221,7 +221,8 @@ impl<'a> MakeWriter<'a> for Terminal {
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         // The logger writes each event at once.
-        let (n_bytes, line) = (bytes.len(), printable_log(&String::from_utf8_lossy(bytes)));
+        let n_bytes = bytes.len();
+        let line = printable_log(&String::from_utf8_lossy(bytes));
         let bytes = line.as_bytes();
         if let Some(held) = self.0.held.lock().as_mut() {
             if held.lines.len() + bytes.len() <= MAX_HELD {
@@ -331,7 +332,8 @@ mod tests {
 
         terminal.print("the first line finds out");
         assert!(!progress.is_drawn());
-        let (mut log, lines) = (terminal.make_writer(), b"a thread logs\n");
+        let mut log = terminal.make_writer();
+        let lines = b"a thread logs\n";
         let written = std::thread::spawn(move || log.write(lines)).join();
         assert!(matches!(written, Ok(Ok(14))), "{written:?}");
         progress.set(2, "two");

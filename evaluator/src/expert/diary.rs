@@ -126,7 +126,8 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
     }
 
     fn end(&self, diary: Diary, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        let (place, trouble) = (diary.place, diary.trouble(result.end));
+        let place = diary.place;
+        let trouble = diary.trouble(result.end);
         let replay = diary.recording.into_trajectory(Credits::of_expert(), &spec.task, last, result);
         let mut kept = self.0.lock();
         match (result.end, replay) {
@@ -135,7 +136,8 @@ impl EpisodeObserver<ExpertAgent> for Diaries {
             }
             (End::Success { .. }, None) => {}
             (End::TimeLimit | End::Diverged, replay) => {
-                let (blueprint, episode_idx) = (result.blueprint.clone(), place.episode_idx as u64);
+                let blueprint = result.blueprint.clone();
+                let episode_idx = place.episode_idx as u64;
                 kept.failures.insert(place, ExpertFailure { blueprint, episode_idx, trouble, replay });
             }
         }

@@ -28,7 +28,8 @@ impl Part {
         let mut command = Command::new(program);
         command.arg(role).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().with_context(|| format!("starting the {name}"))?;
-        let (stdin, stdout) = (child.stdin.take(), child.stdout.take().context("a child has a stdout")?);
+        let stdin = child.stdin.take();
+        let stdout = child.stdout.take().context("a child has a stdout")?;
         let (sender, notes) = mpsc::channel();
         std::thread::spawn(move || {
             for line in BufReader::new(stdout).lines() {

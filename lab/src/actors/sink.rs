@@ -79,7 +79,8 @@ impl Sink {
             weights.parameters.resize(n_parameters, 0.0);
         }
         let (version, current_version) = watch::channel(weights.version);
-        let (mailbox, fingerprints) = (learner.mailbox(), Arc::new(AtomicU64::new(0)));
+        let mailbox = learner.mailbox();
+        let fingerprints = Arc::new(AtomicU64::new(0));
         let (inbox, sum) = (mailbox.clone(), fingerprints.clone());
         let handler = move |trajectory: Trajectory| {
             let fingerprint = trajectory.fingerprint();

@@ -20,7 +20,9 @@ const MASKED: f32 = -1e9;
 
 /// Adds everything up to the logits of blocks, and the value.
 pub(super) fn trunk(graph: &mut Graph, policy: &PolicyConfig, gat: GatConfig, normalization: &Normalization) {
-    let (sizes, width, n_grippers) = (policy.sizes(), policy.network.width, usize::from(policy.features.n_grippers));
+    let sizes = policy.sizes();
+    let width = policy.network.width;
+    let n_grippers = usize::from(policy.features.n_grippers);
     graph.input("nodes", Type::Float, &[N, sizes.node]);
     graph.input("edges", Type::Float, &[N_EDGES, sizes.edge]);
     graph.input("globals", Type::Float, &[sizes.global]);

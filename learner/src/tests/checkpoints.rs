@@ -283,7 +283,8 @@ fn swapped_tensors_are_refused_by_the_digest() {
     let dir = tempfile::tempdir().unwrap();
     let (_, learner, folder) = saved(dir.path(), 1);
     let model = Model::from(&learner.checkpoint());
-    let (bytes, path) = (model.to_bytes().unwrap(), Path::new("model.safetensors"));
+    let bytes = model.to_bytes().unwrap();
+    let path = Path::new("model.safetensors");
     assert_eq!(Model::from_bytes(&with_header(&bytes, |_| {}), path).unwrap(), model);
     let swapped = with_header(&bytes, |header| swap_two(header["table"].as_array_mut().unwrap()));
     let error = Model::from_bytes(&swapped, path).unwrap_err().to_string();

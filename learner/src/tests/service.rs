@@ -137,7 +137,8 @@ async fn run_takes_as_many_steps_as_were_asked_for_and_no_whole_update_more() {
     let bus = Bus::isolated(dir.path()).await.unwrap();
     let setup = small_setup(6);
     assert_eq!(setup.config.batch_size, 256);
-    let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(6));
+    let its_setup = setup.clone();
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
     // Segments of one step.
     let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 10, &mut rng)));
     let run_dir = RunPaths::new(dir.path().join("run"));
@@ -169,7 +170,8 @@ async fn training_that_diverges_stops_and_keeps_usable_weights() {
     let mut setup = small_setup(5);
     fix_rate(&mut setup, 1e5);
     setup.config = setup.config.with(|c| c.checkpoints.every_updates = 1).unwrap();
-    let (its_setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(1));
+    let its_setup = setup.clone();
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
     let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 256, &mut rng)));
     let options = RunOptions { source, ..options(setup.clone(), &run_dir) };
     let error = run(options, &bus, CancellationToken::new()).await.unwrap_err();

@@ -147,7 +147,8 @@ impl Output {
             Ok(found) => format!("the newest whole one is {}", found.path.display()),
             Err(_) => format!("there is no whole one in {}", checkpoints.display()),
         };
-        let (n_env_steps, version) = (learner.n_env_steps(), learner.version().0);
+        let n_env_steps = learner.n_env_steps();
+        let version = learner.version().0;
         let lost = format!("the last checkpoint, of {n_env_steps} environment steps and weights {version}, is lost");
         anyhow::Error::new(error).context(format!("{lost}; {newest}"))
     }

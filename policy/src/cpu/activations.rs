@@ -82,7 +82,8 @@ impl Activations {
             self.raw_global.extend_from_slice(&batch.globals[row * gd..(row + 1) * gd]);
             let listed = &batch.edges[row * per_graph..(row + 1) * per_graph];
             let graph = graph * N * N * ed..(graph + 1) * N * N * ed;
-            let (edges, edges_t) = (&mut self.edges[graph.clone()], &mut self.edges_t[graph]);
+            let edges = &mut self.edges[graph.clone()];
+            let edges_t = &mut self.edges_t[graph];
             let receivers = edges.chunks_exact_mut(N * ed).zip(edges_t.chunks_exact_mut(N * ed));
             for (receiver, (edges, edges_t)) in receivers.enumerate() {
                 for (sender, edge) in edges.chunks_exact_mut(ed).enumerate() {

@@ -198,7 +198,8 @@ impl ValueKernels {
     /// Computes the values of all scenes; reads the choices from the logits.
     pub(super) fn forward(&self, net: Context<'_>, x: &mut ValueActivations, out: &mut Outputs) {
         let Context { arch, shape, spans, .. } = net;
-        let (w, n_choices) = (shape.width, shape.sizes.n_grippers * N);
+        let w = shape.width;
+        let n_choices = shape.sizes.n_grippers * N;
         let n = out.logits.len() / n_choices;
         let own = product_of(arch, &x.raw_global, &self.input_global);
         let graph = product_of(arch, &x.global, &self.graph_global);

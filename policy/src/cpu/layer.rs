@@ -81,7 +81,8 @@ impl Layer {
     pub(super) fn forward(&self, net: Context<'_>, l: usize, x: &mut Activations) {
         let Context { arch, shape, .. } = net;
         let (w, heads, hidden) = (shape.width, shape.n_heads, shape.gat.mlp_hidden);
-        let (n, rows) = (x.n, x.n * 16);
+        let n = x.n;
+        let rows = x.n * 16;
         let (before, y) = x.split(l);
         let (forward, spans) = (&self.forward, &self.spans);
         y.resize(n, w, heads, hidden, self.fold.n_in, shape.sizes.edge);
@@ -132,7 +133,8 @@ impl Layer {
     ) {
         let Context { arch, shape, .. } = net;
         let (w, heads, hidden, ed) = (shape.width, shape.n_heads, shape.gat.mlp_hidden, shape.sizes.edge);
-        let (n, rows) = (x.n, x.n * 16);
+        let n = x.n;
+        let rows = x.n * 16;
         let (before, y) = x.split(l);
         let spans = &self.spans;
         let back = self.backward.as_ref().expect("the network was made for gradients");

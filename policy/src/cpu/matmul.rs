@@ -479,7 +479,10 @@ mod tests {
     fn bases_are_added_before_the_cut_at_zero() {
         let arch = Arch::new();
         let (m, k, n) = (32, 3, 21);
-        let (a, b, bias, graphs) = (numbers(m * k, 3), numbers(k * n, 4), numbers(n, 5), numbers(m / 16 * n, 6));
+        let a = numbers(m * k, 3);
+        let b = numbers(k * n, 4);
+        let bias = numbers(n, 5);
+        let graphs = numbers(m / 16 * n, 6);
         let w = Packed::new(&b, [k, n]);
         let plain = expected(&a, &b, k);
         let mut c = vec![0.25; m * n];

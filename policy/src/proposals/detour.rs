@@ -61,8 +61,10 @@ mod tests {
             Solid::new(BlockIdx::try_from(block).unwrap(), Frame { position, axes: Matrix3::identity() })
         };
         // A bar of 0.4 m across the way of a cube.
-        let (from, to) = (Vector3::new(0.0, -0.5, 1.0), Vector3::new(0.0, 0.3, 1.0));
-        let (cube, bar) = (solid(0, from), [solid(10, Vector3::new(0.0, 0.0, 1.0))]);
+        let from = Vector3::new(0.0, -0.5, 1.0);
+        let to = Vector3::new(0.0, 0.3, 1.0);
+        let cube = solid(0, from);
+        let bar = [solid(10, Vector3::new(0.0, 0.0, 1.0))];
         let stop = next_stop(&cube, &from, &to, &Vector3::y(), &bar);
         // The nearest way is over or under the bar, whose top with the cube and the clearance is at 1.12 m.
         assert!((stop.z - 1.0).abs() > 0.2 && stop.x == 0.0, "{stop}");

@@ -95,7 +95,8 @@ impl Layout {
         let mut sizes = [0; N];
         pieces.iter().for_each(|&piece| sizes[piece] += 1);
         let has_two_grippers = scene.grippers.iter().all(Option::is_some);
-        let (radii, retreats) = (std::array::from_fn(radius), retreats(scene));
+        let radii = std::array::from_fn(radius);
+        let retreats = retreats(scene);
         Self { frames, pieces, sizes, radii, retreats, has_two_grippers }
     }
 
@@ -221,7 +222,8 @@ impl Layout {
 
     /// Returns what must be added to a way so that its next step does not end in the ground.
     fn lift(&self, i: BlockIdx, way: &Way) -> Vector3<f32> {
-        let (own, n_steps) = (&self.frames[i.get()], way.n_steps().max(1.0));
+        let own = &self.frames[i.get()];
+        let n_steps = way.n_steps().max(1.0);
         let lowest = Solid::new(i, way.part(1.0 / n_steps).moved(own)).lowest_m();
         own.localize(&Vector3::z()) * ((-lowest).max(0.0) * n_steps)
     }

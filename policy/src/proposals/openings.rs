@@ -86,7 +86,8 @@ fn search(a: &[Cell], b: &[Cell]) -> Option<Cell> {
     let score = |direction: Cell| {
         let length = (dot(direction, direction) as f32).sqrt();
         let along = || normals.iter().map(|&normal| dot(normal, direction));
-        let (least, sum) = (along().min().unwrap_or(0), along().sum::<i32>());
+        let least = along().min().unwrap_or(0);
+        let sum = along().sum::<i32>();
         [least as f32 / length, sum as f32 / length, -length]
     };
     let mut scored: Vec<([f32; 3], Cell)> = directions().map(|direction| (score(direction), direction)).collect();

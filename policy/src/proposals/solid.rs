@@ -81,7 +81,8 @@ impl Closed {
                 }
                 continue;
             }
-            let (s, t) = ((-reach[k] - a[k]) / step, (reach[k] - a[k]) / step);
+            let s = (-reach[k] - a[k]) / step;
+            let t = (reach[k] - a[k]) / step;
             enter = enter.max(s.min(t));
             leave = leave.min(s.max(t));
         }
@@ -124,7 +125,8 @@ mod tests {
     #[test]
     fn a_way_is_closed_for_the_whole_block_that_moves() {
         let cube = solid(0, [0.0, 0.0, 0.0], 0.0);
-        let (from, to) = (Vector3::new(-0.5, 0.16, 0.0), Vector3::new(0.5, 0.16, 0.0));
+        let from = Vector3::new(-0.5, 0.16, 0.0);
+        let to = Vector3::new(0.5, 0.16, 0.0);
         let closed = |mover: &Solid| cube.closed_to(mover, 0.02).is_entered(&from, &to);
         // 0.16 m off: the bar passes lengthwise (0.05 + 0.05 + 0.02 m), but not broadside (0.05 + 0.2 + 0.02 m).
         assert!(!closed(&solid(10, [-0.5, 0.16, 0.0], 0.0)));

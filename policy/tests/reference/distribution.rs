@@ -196,7 +196,8 @@ fn samples_follow_the_distribution() {
         sum += f64::from(action.moves[2][1]);
         squares += f64::from(action.moves[2][1]).powi(2);
     }
-    let (share, mean) = (hits as f64 / f64::from(n), sum / f64::from(n));
+    let share = hits as f64 / f64::from(n);
+    let mean = sum / f64::from(n);
     let std = (squares / f64::from(n) - mean * mean).sqrt();
     // Block 5 has a weight of 3 out of 18. Bounds are 4 standard errors.
     assert!((share - 3.0 / 18.0).abs() < 4.0 * 0.373 / 141.0, "{share}");

@@ -182,7 +182,9 @@ fn check(gat: GatConfig, n_grippers: usize) {
     let oracle = Oracle { parameters: named, gat, grippers: n_grippers, value_layers: 3, seen: RefCell::default() };
 
     let input = |name: &str, n: usize| -> Vec<f32> { generate(name, 3, n).iter().map(|x| *x as f32).collect() };
-    let (nodes, edges, raw) = (input("n", N * sizes.node), input("e", N_EDGES * sizes.edge), input("g", sizes.global));
+    let nodes = input("n", N * sizes.node);
+    let edges = input("e", N_EDGES * sizes.edge);
+    let raw = input("g", sizes.global);
     let mut batch = FeatureBatch::new(&FeatureConfig::paper());
     (batch.n, batch.sizes) = (1, sizes);
     (batch.nodes, batch.edges, batch.globals) = (nodes.clone(), edges.clone(), raw.clone());

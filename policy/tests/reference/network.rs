@@ -50,7 +50,8 @@ impl Golden {
             }),
         };
         let config = NetworkConfig { encoder, ..NetworkConfig::default() };
-        let (seed, batch) = (info["seed"].as_u64().unwrap(), int("batch"));
+        let seed = info["seed"].as_u64().unwrap();
+        let batch = int("batch");
         assert_eq!(int("n_edge"), N_EDGES);
         Self { seed, batch, sizes, config, tolerance, json }
     }
@@ -94,7 +95,8 @@ impl Golden {
         let mut globals = make("in.globals", b * global);
         let half = global / 2;
         for (k, part) in globals.chunks_exact_mut(half).enumerate() {
-            let (item, gripper) = (k / 2, k % 2);
+            let item = k / 2;
+            let gripper = k % 2;
             let one_hot = &mut part[half - 16..];
             one_hot.fill(0.0);
             if (item, gripper) != (1, 1) {

@@ -88,9 +88,11 @@ impl Ground {
         };
         // Cells per pixel; one value for the whole image is accurate enough in mild perspective.
         let here = on_ground(at.x, at.y);
-        let (right, down) = (on_ground(at.x + 1.0, at.y) - here, on_ground(at.x, at.y + 1.0) - here);
+        let right = on_ground(at.x + 1.0, at.y) - here;
+        let down = on_ground(at.x, at.y + 1.0) - here;
         let px_per_m = [right.x.hypot(down.x), right.y.hypot(down.y)].map(|m_per_px| 1.0 / m_per_px);
-        let (per_radius_squared, per_unit) = (1.0 / (self.radius_m * self.radius_m), 1.0 / UNIT_M);
+        let per_radius_squared = 1.0 / (self.radius_m * self.radius_m);
+        let per_unit = 1.0 / UNIT_M;
         for y in 0..image.height() {
             let start = to_ground * Vector3::new(0.5, y as f32 + 0.5, 1.0);
             let step = to_ground.column(0).into_owned();
@@ -207,7 +209,8 @@ impl Shadow {
 
     fn blur_columns(&mut self, area: Area, radius: usize) {
         let ([left, right], [top, bottom]) = (area.x, area.y);
-        let (width, n) = (right - left, (2 * radius + 1) as u32);
+        let width = right - left;
+        let n = (2 * radius + 1) as u32;
         self.line.clear();
         for y in top..bottom {
             self.line.extend_from_slice(&self.mask[y * self.width..][left..right]);

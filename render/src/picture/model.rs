@@ -109,7 +109,8 @@ impl Block {
     pub(super) fn sides(&self) -> impl Iterator<Item = Side> {
         let half = self.half_extents_m();
         (0..6).map(move |k| {
-            let (axis, is_positive) = (k / 2, k % 2 == 0);
+            let axis = k / 2;
+            let is_positive = k % 2 == 0;
             let (first, second) = ((axis + 1) % 3, (axis + 2) % 3);
             let mut normal = Vector3::zeros();
             normal[axis] = if is_positive { 1.0 } else { -1.0 };

@@ -56,7 +56,8 @@ pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image
     let facts = format!("{}, {} blocks, {} units", blueprint.split(), blueprint.n_blocks(), extent(blueprint));
     write(&mut image, [PAD, 46], &fitted(&facts, Type::Body, room), Type::Body, GRAY);
     for (i, view) in CARD_VIEWS.into_iter().enumerate() {
-        let (x, y) = (i % 2 * side, HEADER + i / 2 * side);
+        let x = i % 2 * side;
+        let y = HEADER + i / 2 * side;
         image.paste(&draw_blueprint(painter, blueprint, view, [side, side]), x, y);
         write(&mut image, [x + PAD, y + PAD / 2], view.caption(), Type::Small, GRAY);
     }
@@ -86,7 +87,8 @@ pub fn sheet(painter: &mut Painter, blueprints: &[&Blueprint]) -> Image {
     let [width, height] = TILE;
     let mut image = Image::filled(n_columns * width, shown.len().div_ceil(n_columns) * height, WHITE);
     for (i, blueprint) in shown.iter().enumerate() {
-        let (x, y) = (i % n_columns * width, i / n_columns * height);
+        let x = i % n_columns * width;
+        let y = i / n_columns * height;
         image.paste(&draw_blueprint(painter, blueprint, View::FrontQuarter, [width, height - TILE_FOOT]), x, y);
         let words = y + height - TILE_FOOT;
         write(&mut image, [x + PAD, words], blueprint.id().as_str(), Type::BodyBold, INK);

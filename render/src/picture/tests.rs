@@ -152,7 +152,8 @@ fn blueprint_is_drawn_at_its_placements() {
             let high = drawn.iter().map(|point| point[axis] / UNIT_M).fold(f32::NEG_INFINITY, f32::max);
             let low = drawn.iter().map(|point| point[axis] / UNIT_M).fold(f32::INFINITY, f32::min);
             let expected = cells.iter().map(|cell| cell[axis]);
-            let (from, to) = (expected.clone().min().unwrap() as f32, expected.max().unwrap() as f32 + 1.0);
+            let from = expected.clone().min().unwrap() as f32;
+            let to = expected.max().unwrap() as f32 + 1.0;
             assert!((low - from).abs() < 1e-4 && (high - to).abs() < 1e-4, "{}", blueprint.id());
         }
     }

@@ -174,7 +174,8 @@ impl<'e> EpisodeAttention<'e> {
     }
 
     fn shares_of(&self, n_done: usize, weight: impl Fn(BlockIdx, BlockIdx) -> f32) -> Shares {
-        let (goal, scene) = (self.episode.goal(), &self.episode.scenes()[n_done]);
+        let goal = self.episode.goal();
+        let scene = &self.episode.scenes()[n_done];
         let mut shares = Shares::default();
         let each = 1.0 / goal.placements().len() as f32;
         for receiver in self.receivers() {

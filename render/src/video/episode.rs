@@ -65,14 +65,17 @@ impl Episode {
         ordered.sort_by_key(|segment| segment.first_step);
         let (Some(first), Some(last)) = (ordered.first(), ordered.last()) else { return Err(EpisodeError::Empty) };
         if first.task.blueprint != *goal.id() {
-            let (expected, given) = (first.task.blueprint.clone(), goal.id().clone());
+            let expected = first.task.blueprint.clone();
+            let given = goal.id().clone();
             return Err(EpisodeError::OtherGoal { expected, given });
         }
         let first_step = usize::from(first.first_step);
-        let (mut scenes, mut returns) = (Vec::new(), vec![RewardTerms::default()]);
+        let mut scenes = Vec::new();
+        let mut returns = vec![RewardTerms::default()];
         let mut so_far = RewardTerms::default();
         for segment in &ordered {
-            let (found, expected) = (usize::from(segment.first_step), first_step + scenes.len());
+            let found = usize::from(segment.first_step);
+            let expected = first_step + scenes.len();
             if !is_same_episode(first, segment) {
                 return Err(EpisodeError::OtherEpisode { first_step: found });
             }

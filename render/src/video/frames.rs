@@ -88,9 +88,11 @@ impl<'a> Video<'a> {
 
     fn score(&self, image: &mut Image, left: usize, time_s: f32, scene: &Scene) {
         let Layout { pad, width, words, bold, line, score_top } = self.layout;
-        let (x, room) = (left + pad, width - 2 * pad);
+        let x = left + pad;
+        let room = width - 2 * pad;
         let n_done = self.episode.n_done(time_s);
-        let (n_connected, n_links) = (self.episode.n_connected(n_done), self.episode.goal().links().len());
+        let n_connected = self.episode.n_connected(n_done);
+        let n_links = self.episode.goal().links().len();
         let mut y = score_top;
         row(image, [x, y], room, words, "connected", &format!("{n_connected}/{n_links}"));
         y += line;

@@ -64,7 +64,8 @@ pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>,
 /// changed.
 fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
     let width = image.width();
-    let (mut x, mut y) = ([width, 0], [image.height(), 0]);
+    let mut x = [width, 0];
+    let mut y = [image.height(), 0];
     let rows = last.pixels().chunks_exact(width).zip(image.pixels().chunks_exact(width));
     for (row_idx, (before, after)) in rows.enumerate() {
         let differs = |(a, b): (&Rgb, &Rgb)| a != b;

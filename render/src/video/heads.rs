@@ -108,7 +108,8 @@ impl<'g> AttentionVideo<'g> {
         color: Rgb,
     ) -> [usize; 2] {
         let [width, height] = self.tile_px;
-        let (x, y) = (column.min(self.n_columns - 1) * (width + GAP), row * (height + FOOT));
+        let x = column.min(self.n_columns - 1) * (width + GAP);
+        let y = row * (height + FOOT);
         put(image, [x, y], picture);
         write(image, [x + 2, y + height + 3], &fitted(words, Type::Small, width), Type::Small, color);
         [x + 2, y + height + 3]
@@ -118,7 +119,8 @@ impl<'g> AttentionVideo<'g> {
 /// Draws rows of pictures at `n_moments` (at least 2) evenly spaced steps: the world, then the attention of each
 /// gripper and of each head of each layer. The image is about `width` pixels wide (at least 480).
 pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width: usize) -> Image {
-    let (n_moments, episode) = (n_moments.max(2), attention.episode);
+    let n_moments = n_moments.max(2);
+    let episode = attention.episode;
     let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / n_moments - GAP;
     let tile_px = [tile_width, tile_width * 9 / 16];
     let sources: Vec<AttentionSource> = attention.sources().collect();

@@ -63,7 +63,8 @@ impl Stage {
 
     /// Returns the camera after `n_done` steps of the shown episode; fractions interpolate between steps.
     pub(super) fn camera(&self, n_done: f32) -> Camera {
-        let (first, share) = (n_done.max(0.0) as usize, n_done.max(0.0).fract());
+        let first = n_done.max(0.0) as usize;
+        let share = n_done.max(0.0).fract();
         let at = |step: usize| self.windows.get(step).or(self.windows.last());
         match (at(first), at(first + 1)) {
             (Some(from), Some(to)) => self.view.on(&from.toward(to, share), self.margin_px, self.max_px_per_m),
@@ -113,7 +114,8 @@ fn framed(episode: &Episode, n_done: usize) -> Vec<Block> {
         values.sort_by(f32::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or_default()
     };
-    let (middle, piece) = (Vector2::new(median(0), median(1)), episode.largest_piece(n_done));
+    let middle = Vector2::new(median(0), median(1));
+    let piece = episode.largest_piece(n_done);
     let is_held = |block: BlockIdx| scene.grippers.iter().flatten().any(|gripper| gripper.held == Some(block));
     let is_wanted = |block: &Block| {
         let at = block.pose.translation.vector;

@@ -26,7 +26,8 @@ pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let mut image = Image::filled(N_COLUMNS * (tile + GAP) - GAP, full_height, WHITE);
     let mut painter = Painter::default();
     let place = |image: &mut Image, i: usize, picture: &Image, words: &str, color: Rgb| {
-        let (x, y) = (i % N_COLUMNS * (tile + GAP), i / N_COLUMNS * (height + FOOT + GAP));
+        let x = i % N_COLUMNS * (tile + GAP);
+        let y = i / N_COLUMNS * (height + FOOT + GAP);
         image.fill([x, y], [tile, height], HAIRLINE);
         image.paste(picture, x + 1, y + 1);
         write(image, [x + 2, y + height + 4], &fitted(words, Type::Small, tile - 2), Type::Small, color);

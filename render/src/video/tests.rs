@@ -183,7 +183,8 @@ fn gif_contains_every_frame_unchanged() {
     while let Some(frame) = decoder.read_next_frame().unwrap() {
         assert_eq!(frame.delay, 10);
         for (i, pixel) in frame.buffer.chunks_exact(4).enumerate().filter(|(_, pixel)| pixel[3] > 0) {
-            let (x, y) = (i % usize::from(frame.width), i / usize::from(frame.width));
+            let x = i % usize::from(frame.width);
+            let y = i / usize::from(frame.width);
             let at = (y + usize::from(frame.top)) * width + x + usize::from(frame.left);
             canvas[at].copy_from_slice(&pixel[..3]);
         }

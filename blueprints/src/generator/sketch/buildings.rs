@@ -54,7 +54,9 @@ fn merlons(length: i32) -> impl Iterator<Item = i32> {
 /// Draws a straight or winged wall, with battlements and a door if the volume allows.
 pub(super) fn wall(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let height = dice.between(2, 5);
-    let (battlements, door, wing) = (dice.chance(50), dice.chance(40), dice.pick(&[0, 0, 0, 1, 2, 3]));
+    let battlements = dice.chance(50);
+    let door = dice.chance(40);
+    let wing = dice.pick(&[0, 0, 0, 1, 2, 3]);
     let buttress = dice.chance(30);
     let mut lengths: Vec<i32> = (3..=14).collect();
     dice.shuffle(&mut lengths);
@@ -90,10 +92,13 @@ pub(super) fn wall(volume: i32, dice: &mut Dice) -> Option<Sketch> {
 
 /// Draws piers under a lintel, one gate or a row of them, with turrets, feet, or a crest.
 pub(super) fn arch(volume: i32, dice: &mut Dice) -> Option<Sketch> {
-    let (wide, deep) = (dice.pick(&[1, 1, 1, 2]), dice.pick(&[1, 1, 2, 2, 3]));
+    let wide = dice.pick(&[1, 1, 1, 2]);
+    let deep = dice.pick(&[1, 1, 2, 2, 3]);
     let (gap, thick) = (dice.pick(&[1, 2, 2, 3]), dice.pick(&[1, 1, 1, 2]));
     let spans = dice.pick(&[1, 1, 1, 2, 3]);
-    let (turret, foot, crest) = (dice.pick(&[0, 0, 1, 2]), dice.chance(30), dice.chance(30));
+    let turret = dice.pick(&[0, 0, 1, 2]);
+    let foot = dice.chance(30);
+    let crest = dice.chance(30);
     let length = spans * (gap + wide) + wide;
     let words = match spans {
         1 => "arch",
@@ -126,7 +131,8 @@ pub(super) fn arch(volume: i32, dice: &mut Dice) -> Option<Sketch> {
 /// Draws a deck on piers, with ramps or posts.
 pub(super) fn bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let (height, deep) = (dice.pick(&[1, 1, 2, 2, 3]), dice.pick(&[1, 1, 2, 2, 3]));
-    let (ramps, posts) = (dice.chance(50), dice.pick(&[0, 0, 1, 2, 3]));
+    let ramps = dice.chance(50);
+    let posts = dice.pick(&[0, 0, 1, 2, 3]);
     let n_piers = dice.pick(&[2, 2, 2, 3, 4]);
     let mut lengths: Vec<i32> = (4..=14).collect();
     dice.shuffle(&mut lengths);

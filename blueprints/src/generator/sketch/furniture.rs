@@ -54,7 +54,9 @@ pub(super) fn table(volume: i32, dice: &mut Dice) -> Option<Sketch> {
 
 /// Draws a closed frame, lying with corner posts or upright on feet.
 pub(super) fn ring(volume: i32, dice: &mut Dice) -> Option<Sketch> {
-    let (a, b, layers) = (dice.between(3, 8), dice.between(3, 8), dice.pick(&[1, 1, 2, 3]));
+    let a = dice.between(3, 8);
+    let b = dice.between(3, 8);
+    let layers = dice.pick(&[1, 1, 2, 3]);
     let frame = 2 * (a + b) - 4;
     let left = volume - frame * layers;
     if left < 0 || a < b {
@@ -95,8 +97,11 @@ pub(super) fn ring(volume: i32, dice: &mut Dice) -> Option<Sketch> {
 pub(super) fn cross(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let wide = dice.pick(&[1, 1, 2]);
     if dice.chance(50) {
-        let (arm_x, arm_y, layers) = (dice.between(1, 6), dice.between(1, 6), dice.pick(&[1, 1, 1, 2]));
-        let (tips, step) = (dice.pick(&[0, 0, 1, 2]), dice.pick(&[0, 0, 1]));
+        let arm_x = dice.between(1, 6);
+        let arm_y = dice.between(1, 6);
+        let layers = dice.pick(&[1, 1, 1, 2]);
+        let tips = dice.pick(&[0, 0, 1, 2]);
+        let step = dice.pick(&[0, 0, 1]);
         (0..=6).find_map(|mast| {
             let mut sketch = Sketch::new(if mast > 0 { "cross with a mast" } else { "lying cross" });
             sketch.add([-arm_x, 0, 0], [2 * arm_x + wide, wide, layers]);
@@ -114,7 +119,9 @@ pub(super) fn cross(volume: i32, dice: &mut Dice) -> Option<Sketch> {
             (fits && (tips == 0 || arm_x.min(arm_y) > 1)).then_some(sketch)?.of_volume(volume)
         })
     } else {
-        let (deep, arm, foot) = (dice.pick(&[1, 1, 2, 2, 3]), dice.between(1, 4), dice.pick(&[0, 1, 1, 2]));
+        let deep = dice.pick(&[1, 1, 2, 2, 3]);
+        let arm = dice.between(1, 4);
+        let foot = dice.pick(&[0, 1, 1, 2]);
         let thick = dice.pick(&[wide, wide, wide + 1]);
         (3..=12).find_map(|tall| {
             let mut sketch = Sketch::new("standing cross");

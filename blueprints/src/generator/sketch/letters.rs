@@ -25,7 +25,8 @@ const MIDDLE: [(&str, [&str; 5]); 2] =
 pub(super) fn letter(volume: i32, dice: &mut Dice) -> Option<Sketch> {
     let middle = dice.chance(20);
     let (name, rows) = if middle { dice.pick(&MIDDLE) } else { dice.pick(&OUTER) };
-    let (stroke, deep) = (dice.pick(&[1, 1, 2]), dice.pick(&[1, 1, 2, 3]));
+    let stroke = dice.pick(&[1, 1, 2]);
+    let deep = dice.pick(&[1, 1, 2, 3]);
     // A letter can be stretched between its strokes.
     let stretch = dice.between(stroke, stroke + 2);
     let columns = if middle { [stretch, stroke, stretch] } else { [stroke, stretch, stroke] };

@@ -92,7 +92,8 @@ impl Row {
 
 /// Draws a deck two cells up, on two-by-two piers, with a pylon over each.
 fn suspension_bridge(volume: i32, dice: &mut Dice) -> Option<Sketch> {
-    let (pylon, ends) = (dice.pick(&[2, 3, 3]), dice.pick(&[0, 2]));
+    let pylon = dice.pick(&[2, 3, 3]);
+    let ends = dice.pick(&[0, 2]);
     let length = volume - 2 * 4 - 2 * 2 * pylon - 2 * ends;
     let overhang = if ends > 0 { dice.between(3, 6) } else { dice.between(2, 4) };
     let mut sketch = Sketch::new("suspension bridge");
@@ -138,7 +139,8 @@ pub(super) fn tallest(n_blocks: usize, idea: usize, dice: &mut Dice) -> Option<S
         _ => ladder(dice),
     };
     let left = volume - sketch.cells.len() as i32 - mast;
-    let (shaft, odd) = (left / 2, left % 2);
+    let shaft = left / 2;
+    let odd = left % 2;
     sketch.add([x, y, base_height], [2, 1, shaft]);
     sketch.add([x, y, base_height + shaft], [1, 1, mast + odd]);
     (shaft >= 2).then_some(sketch)?.of_volume(volume)

@@ -17,7 +17,8 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
         return vec![heading("Success: no evaluation so far".to_owned())];
     };
     let summary = &heard.value;
-    let (version, n_env_steps) = (summary.weights_version.0, count(summary.n_env_steps));
+    let version = summary.weights_version.0;
+    let n_env_steps = count(summary.n_env_steps);
     let evaluated = age(now, heard.at);
     let title = match n_so_far(summary) {
         None => format!("Success in %: weights {version}, {n_env_steps} environment steps, evaluated {evaluated}"),

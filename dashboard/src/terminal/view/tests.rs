@@ -9,7 +9,8 @@ use crate::run_view::SessionState;
 use crate::samples;
 
 fn config() -> BusConfig {
-    let (run, connect) = ("two-blocks".to_owned(), vec!["tcp/127.0.0.1:7447".to_owned()]);
+    let run = "two-blocks".to_owned();
+    let connect = vec!["tcp/127.0.0.1:7447".to_owned()];
     BusConfig { run, connect, ..BusConfig::default() }
 }
 
@@ -60,7 +61,8 @@ fn pressed(keys: &[KeyCode]) -> Controls {
 fn a_learner_that_cannot_save_says_so_and_has_learned_nothing_more() {
     let mut run = busy();
     let n_values = |run: &RunView| run.trends.all().map(|(_, values)| values.len()).sum::<usize>();
-    let (before, mut learner) = (n_values(&run), samples::learner());
+    let before = n_values(&run);
+    let mut learner = samples::learner();
     learner.value["not_saved"] =
         serde_json::json!({ "since_unix_ms": 1_769_846_700_000_u64, "reason": "no\u{1b}[2J room" });
     assert!(run.take(&learner, seconds(32)));

@@ -22,7 +22,9 @@ pub(super) fn render(reports: &[Report]) -> String {
 /// The file, the id, and the outcomes: `-` for an id that cannot be read.
 fn cells(report: &Report) -> [String; 3] {
     let id = report.id.as_ref().map_or_else(|| "-".to_owned(), ToString::to_string);
-    let (mut n_passed, mut n_skipped, mut failed) = (0, 0, Vec::new());
+    let mut n_passed = 0;
+    let mut n_skipped = 0;
+    let mut failed = Vec::new();
     for check in Check::ALL.into_iter().chain(Check::PHYSICAL) {
         let result = report.results.iter().find(|result| result.check == check);
         match result.map(|result| &result.outcome) {

@@ -22,14 +22,16 @@ pub(in crate::commands) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let (goals, policy) = (Goals::new(args)?, policy(args)?);
+    let goals = Goals::new(args)?;
+    let policy = policy(args)?;
     let (run, connect) = (args.run.clone(), args.connect.clone());
     let security = SecurityConfig { keys: args.keys.folder("evaluator") };
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     let config = Valid::new(config).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
     let patience = Duration::from_secs(args.timeout);
     let Ok(opened) = timeout(patience, join_bus(&config, &shutdown)).await else {
-        let (endpoints, seconds) = (config.connect.join(", "), args.timeout);
+        let endpoints = config.connect.join(", ");
+        let seconds = args.timeout;
         return Err(Failure::Bus(anyhow!("no router answers at {endpoints} after {seconds} s")));
     };
     let Some(bus) = opened? else { return Ok(()) };
@@ -97,7 +99,9 @@ async fn record(
 /// Explains why no episode arrived.
 async fn silent(args: &RenderArgs, collector: &Collector, bus: &Bus, config: &Valid<BusConfig>) -> Failure {
     let who = args.actor.as_ref().map_or_else(|| "any actor".to_owned(), |actor| format!("the actor {actor}"));
-    let (seconds, run, counts) = (args.timeout, &args.run, bus.counts());
+    let seconds = args.timeout;
+    let run = &args.run;
+    let counts = bus.counts();
     let n_missed = counts.viewed_dropped_total + counts.viewed_invalid_total;
     let others = bus::runs(config).await.unwrap_or_default();
     let elsewhere = match others.is_empty() {
@@ -116,6 +120,7 @@ fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Fa
     let first = segments.first().ok_or_else(|| refused("is empty".to_owned()))?;
     let goal = goals.find(&first.task.blueprint).map_err(refused)?;
     let episode = Episode::new(segments, &goal).map_err(|error| refused(error.to_string()))?;
-    let (blueprint, version) = (&first.task.blueprint, first.weights_version.0);
+    let blueprint = &first.task.blueprint;
+    let version = first.weights_version.0;
     Ok((format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1).into(), episode))
 }

@@ -85,7 +85,10 @@ fn range(text: &str) -> Option<Result<Values, &'static str>> {
 
 /// Splits at the commas that are in no brackets, braces, or quotes.
 fn split(text: &str) -> Vec<&str> {
-    let (mut parts, mut begin, mut depth, mut quote) = (Vec::new(), 0, 0_usize, None);
+    let mut parts = Vec::new();
+    let mut begin = 0;
+    let mut depth = 0_usize;
+    let mut quote = None;
     for (i, c) in text.char_indices() {
         match (quote, c) {
             (Some(open), _) => quote = (c != open).then_some(open),

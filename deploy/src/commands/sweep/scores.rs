@@ -39,7 +39,8 @@ pub(super) fn scores(evaluation: &Evaluation) -> Vec<Score> {
     for acting in [ActionMode::Greedy, ActionMode::Sampled] {
         for score in &evaluation.blueprints {
             if let (Some(group), Some(outcome)) = (group_of(score), outcome_of(score, acting)) {
-                let (group, goal) = (group.name().to_owned(), score.blueprint.to_string());
+                let group = group.name().to_owned();
+                let goal = score.blueprint.to_string();
                 scores.push(Score { group, goal, acting, rate: outcome.success.rate });
             }
         }
@@ -65,7 +66,9 @@ pub(super) fn groups(runs: &[&[Score]]) -> Vec<GroupResult> {
     let of_group = |((acting, _, group), goals): ((_, _, &str), BTreeMap<&str, Vec<f64>>)| {
         let scores: Vec<Vec<f64>> = goals.into_values().collect();
         let n_runs = scores.iter().map(Vec::len).max().unwrap_or(0);
-        let (group, n_goals, aggregate) = (group.to_owned(), scores.len(), Aggregate::of(&scores));
+        let group = group.to_owned();
+        let n_goals = scores.len();
+        let aggregate = Aggregate::of(&scores);
         GroupResult { group, acting, n_runs, n_goals, aggregate }
     };
     rates.into_iter().map(of_group).collect()

@@ -66,7 +66,8 @@ fn interval(mut values: Vec<f64>) -> [f64; 2] {
 /// A quantile of sorted values, interpolated between the two nearest ones.
 fn quantile(sorted: &[f64], share: f64) -> f64 {
     let position = share * sorted.len().saturating_sub(1) as f64;
-    let (low, rest) = (position.floor() as usize, position.fract());
+    let low = position.floor() as usize;
+    let rest = position.fract();
     let at = |i: usize| sorted.get(i).or(sorted.last()).copied().unwrap_or(f64::NAN);
     at(low) + rest * (at(low + 1) - at(low))
 }

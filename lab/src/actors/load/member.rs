@@ -89,7 +89,8 @@ impl Member {
                 None => Instant::now(),
             };
             let (weights_version, settings_hash) = newest(&weights);
-            let (actor, epoch) = (self.id.clone(), self.epoch);
+            let actor = self.id.clone();
+            let epoch = self.epoch;
             let segment =
                 Trajectory { actor, epoch, seq, weights_version, settings_hash, ..script.segment(seq).clone() };
             self.deliver(&segment, script.n_bytes(seq), since, tally, give_up).await;

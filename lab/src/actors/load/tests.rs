@@ -98,7 +98,8 @@ async fn receive(
     publisher: WeightsPublisher,
     stop: CancellationToken,
 ) -> Vec<Trajectory> {
-    let (mut taken, mut n_newer) = (Vec::new(), 0);
+    let mut taken = Vec::new();
+    let mut n_newer = 0;
     while let Some(trajectory) = received.recv().await {
         n_newer += usize::from(trajectory.weights_version.0 == 4);
         taken.push(trajectory);
