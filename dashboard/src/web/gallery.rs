@@ -47,7 +47,7 @@ impl Gallery {
 pub(super) async fn list(Extension(catalog): Extension<Arc<Catalog>>) -> Response {
     let entry = |blueprint: &Blueprint| {
         let n_blocks = blueprint.n_blocks();
-        let group = Group::of(blueprint.split(), blueprint.n_blocks());
+        let group = Group::of(blueprint.split(), n_blocks);
         json!({ "id": blueprint.id(), "title": blueprint.title(), "n_blocks": n_blocks, "group": group.map(Group::name) })
     };
     let blueprints: Vec<_> = catalog.iter().map(entry).collect();

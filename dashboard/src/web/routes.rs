@@ -313,8 +313,8 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
 /// history.
 fn keep_in_cookie(token: &Token, path: &str, query: &str) -> Response {
     // `Lax`, because `Strict` would reject a first visit through a link from another site.
-    let of_token = proto::config_hash(&token.reveal());
     let token = token.reveal();
+    let of_token = proto::config_hash(&token);
     let cookie = format!("{COOKIE_NAME}_{of_token:016x}={token}; Path=/; HttpOnly; SameSite=Lax");
     // Keep one leading slash: with two, the path would name another host.
     let path = format!("/{}{}{query}", path.trim_start_matches('/'), if query.is_empty() { "" } else { "?" });

@@ -76,7 +76,7 @@ impl Connections {
         let is_member = |block: &BlockIdx| self.components[block.get()] == component;
         BlockIdx::all().filter(is_member).all(|a| {
             let i = a.get();
-            let frame = &self.frames[a.get()];
+            let frame = &self.frames[i];
             self.table.bottom(a, frame) > room + reach[i]
                 && BlockIdx::all().filter(|b| !is_member(b)).all(|b| {
                     let j = b.get();

@@ -82,7 +82,7 @@ impl Layer {
         let Context { arch, shape, .. } = net;
         let (w, heads, hidden) = (shape.width, shape.n_heads, shape.gat.mlp_hidden);
         let n = x.n;
-        let rows = x.n * 16;
+        let rows = n * 16;
         let (before, y) = x.split(l);
         let (forward, spans) = (&self.forward, &self.spans);
         y.resize(n, w, heads, hidden, self.fold.n_in, shape.sizes.edge);
@@ -134,7 +134,7 @@ impl Layer {
         let Context { arch, shape, .. } = net;
         let (w, heads, hidden, ed) = (shape.width, shape.n_heads, shape.gat.mlp_hidden, shape.sizes.edge);
         let n = x.n;
-        let rows = x.n * 16;
+        let rows = n * 16;
         let (before, y) = x.split(l);
         let spans = &self.spans;
         let back = self.backward.as_ref().expect("the network was made for gradients");

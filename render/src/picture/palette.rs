@@ -98,7 +98,7 @@ impl Group {
     /// Splits the colors into those below and those above the mean.
     fn split(self) -> (Self, Self) {
         let channel = self.channel;
-        let mean = self.mean[self.channel];
+        let mean = self.mean[channel];
         let (low, high) = self.members.into_iter().partition(|(color, _)| f32::from(color[channel]) < mean);
         (Self::new(low), Self::new(high))
     }

@@ -24,7 +24,7 @@ pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'st
     }
     let n_fit = height.saturating_sub(lines.len());
     let n_rows = rows.len();
-    let is_cut = rows.len() > n_fit;
+    let is_cut = n_rows > n_fit;
     let n_shown = if is_cut { n_fit.saturating_sub(1) } else { n_rows };
     lines.extend(rows.into_iter().take(n_shown));
     if is_cut {
