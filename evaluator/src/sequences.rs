@@ -107,7 +107,7 @@ pub(crate) trait EpisodeObserver<A>: Sync {
 
 /// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
 /// starts the next sequence. Each sequence's results go to `done` with its index.
-pub(crate) fn run_sequences<'s, E: Env, A: Agent, O: EpisodeObserver<A>>(
+pub(crate) fn run_sequences<'s, E: Env + Clone, A: Agent, O: EpisodeObserver<A>>(
     rules: &Rules<'_, O>,
     agent: &mut A,
     mut worlds: Vec<E>,
@@ -185,7 +185,7 @@ impl<'s, R> EnvSlot<'s, R> {
     }
 }
 
-impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
+impl<E: Env + Clone, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
     /// Starts the next episode of a world's sequence.
     fn start(&mut self, row: usize) -> Result<(), EvalError> {
         let slot = &mut self.slots[row];
@@ -228,24 +228,23 @@ impl<E: Env, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
         if status == Status::Running {
             return None;
         }
-        let env = self.envs.env_mut(row);
-        // Copied before the world steps on to check for a stable success.
-        let last = env.scene().clone();
+        let env = self.envs.env(row);
         let end = match status {
-            Status::Success => End::Success { stable: settles(env, rules.success) },
+            // In a copy, because the next goal may begin where this one ends, with the structure still held.
+            Status::Success => End::Success { stable: settles(env.clone(), rules.success) },
             Status::Running | Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };
         let result = slot.played.result(rules.acting, end, slot.n_steps, slot.episode_return, slot.forced_reset);
         if let (Some(observer), Some(record)) = (rules.observer, slot.record.take()) {
-            observer.end(record, &slot.played, &last, &result);
+            observer.end(record, &slot.played, env.scene(), &result);
         }
         Some(result)
     }
 }
 
 /// Whether a success proves stable after the grippers have let go.
-fn settles<E: Env>(env: &mut E, success: &SuccessConfig) -> bool {
+fn settles(mut env: impl Env, success: &SuccessConfig) -> bool {
     let mut stable = StableSuccess::default();
     (0..SETTLE_STEPS).any(|_| {
         env.step(&Action::IDLE);

@@ -7,9 +7,11 @@ use super::*;
 use crate::videos::EpisodeSelector;
 
 /// A world in which nothing moves and a script determines how each step ends.
+#[derive(Clone)]
 struct Toy {
     ends: Vec<Status>,
     n_steps: usize,
+    n_idle_steps: usize,
     diverged: bool,
     scene: Scene,
     blueprint: Blueprint,
@@ -20,6 +22,7 @@ impl Env for Toy {
         if task.start == Start::AsItIs && self.diverged {
             return Err(ResetError::NothingToKeep);
         }
+        assert_eq!(self.n_idle_steps, 0, "nothing is let go between goals");
         self.diverged = false;
         Ok(())
     }
@@ -27,6 +30,7 @@ impl Env for Toy {
     fn step(&mut self, action: &Action) -> StepResult {
         // Idle steps, which test whether a success is stable, do not count as steps of an episode.
         if action.moves == [[0.0; 6]; blueprints::N_BLOCKS] {
+            self.n_idle_steps += 1;
             return StepResult { reward: RewardTerms::default(), status: Status::Running };
         }
         let status = self.ends[self.n_steps % self.ends.len()];
@@ -61,7 +65,7 @@ pub(crate) fn scene() -> Scene {
 }
 
 fn toy(ends: &[Status]) -> Toy {
-    Toy { ends: ends.to_vec(), n_steps: 0, diverged: false, scene: scene(), blueprint: goal().clone() }
+    Toy { ends: ends.to_vec(), n_steps: 0, n_idle_steps: 0, diverged: false, scene: scene(), blueprint: goal().clone() }
 }
 
 fn run(worlds: Vec<Toy>, sequences: &[Vec<EpisodeSpec>]) -> Vec<Vec<EpisodeResult>> {
