@@ -35,15 +35,15 @@ pub enum TaskFilter {
         /// Maximum number of blocks.
         max: usize,
     },
-    /// The blueprints with these ids, including generated ones such as `gen1-arch-7_6_000`.
+    /// The blueprints with these ids.
     Blueprints(Vec<BlueprintId>),
 }
 
 /// Reasons why a filter selects no goals.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FilterError {
-    /// An id that neither the training split nor the generator has, or the id of a held-out structure.
-    #[error("blueprint {0} is neither in the training split of the catalog nor a generated one")]
+    /// An id that is not in the training split, or that of a held-out structure.
+    #[error("blueprint {0} is not in the training split of the catalog")]
     NotForTraining(BlueprintId),
     /// No training blueprint has a size in the range.
     #[error("no training blueprint has between {min} and {max} blocks")]
@@ -85,7 +85,7 @@ impl TaskFilter {
             Self::Blueprints(ids) => {
                 let trainable =
                     |blueprint: &Blueprint| blueprint.split() == Split::Train && catalog.is_for_training(blueprint);
-                let known = |id: &BlueprintId| catalog.find(id).is_some_and(|blueprint| trainable(&blueprint));
+                let known = |id: &BlueprintId| catalog.get(id).is_some_and(trainable);
                 if let Some(unknown) = ids.iter().find(|id| !known(id)) {
                     return Err(FilterError::NotForTraining(unknown.clone()));
                 }

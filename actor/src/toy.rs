@@ -28,7 +28,7 @@ impl Toy {
 impl Env for Toy {
     fn reset(&mut self, task: &Task, catalog: &Catalog) -> Result<(), ResetError> {
         let unknown = || ResetError::UnknownBlueprint(task.blueprint.clone());
-        self.blueprint = catalog.find(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
+        self.blueprint = catalog.get(&task.blueprint).ok_or_else(unknown)?.permuted(&task.assignment);
         Ok(())
     }
 

@@ -291,7 +291,7 @@ mod tests {
         for (text, size) in [
             ("6_005", Some(6)),
             ("test_12_000", Some(12)),
-            ("gen1-any-0_6_000", Some(6)),
+            ("my-tower_6_000", Some(6)),
             ("6_5", None),
             ("1_000", None),
             ("17_000", None),

@@ -1,6 +1,5 @@
 //! The set of blueprints of a run, compiled in or loaded from a folder.
 
-use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::io::Read;
@@ -12,7 +11,7 @@ use crate::checks::check_text;
 use crate::error::BlueprintFileError;
 use crate::format::line_at;
 use crate::outside::printable;
-use crate::{Blueprint, BlueprintId, Split, generator};
+use crate::{Blueprint, BlueprintId, Split};
 
 /// The `(file name, text)` of every compiled-in blueprint file.
 pub const BUILTIN_FILES: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/catalog.rs"));
@@ -203,19 +202,10 @@ impl Catalog {
         self.positions.get(id).map(|&i| &self.blueprints[i])
     }
 
-    /// Returns the blueprint with that id from the catalog, or from the [`generator`] if the id names a generated
-    /// structure.
-    ///
-    /// Generating one takes 0.1 to 30 ms, depending on size and style; recent ones are cached.
-    pub fn find(&self, id: &BlueprintId) -> Option<Cow<'_, Blueprint>> {
-        let generated = || generator::made(id).map(Cow::Owned);
-        self.get(id).map(Cow::Borrowed).or_else(generated)
-    }
-
-    /// Returns the catalog's or the generator's blueprint with the id of this one, if it is another structure. Two names
-    /// for one structure do no harm, but one name for two structures would hide one of them.
-    pub fn namesake(&self, blueprint: &Blueprint) -> Option<Cow<'_, Blueprint>> {
-        self.find(blueprint.id()).filter(|other| other.canonical_hash() != blueprint.canonical_hash())
+    /// Returns the blueprint with the id of this one, if it is another structure. Two names for one structure do no
+    /// harm, but one name for two structures would hide one of them.
+    pub fn namesake(&self, blueprint: &Blueprint) -> Option<&Blueprint> {
+        self.get(blueprint.id()).filter(|other| other.canonical_hash() != blueprint.canonical_hash())
     }
 
     /// Returns whether training may use a structure, which must not share its outline with a held-out structure.

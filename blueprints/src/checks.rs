@@ -249,7 +249,7 @@ fn first_good(
 
 /// Runs the file checks on placements whose lowest corner is at the origin and which use the blocks of each type in
 /// order; all magnet pairs that meet are connections.
-pub(crate) fn check_placements(
+pub fn check_placements(
     id: BlueprintId,
     split: Split,
     title: String,

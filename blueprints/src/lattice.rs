@@ -101,7 +101,7 @@ impl CubeRotation {
 
     /// Returns the signs of the magnets on the faces that point along +x, +y, and +z when a block is rotated; those on
     /// the opposite faces have the other signs.
-    pub(crate) fn signs(self) -> [i32; 3] {
+    pub fn signs(self) -> [i32; 3] {
         self.matrix().map(|row| row.iter().sum())
     }
 
@@ -162,7 +162,7 @@ impl CubeRotation {
 /// equal. `own` are its sides along its own axes, and `size` those along the drawing's.
 ///
 /// The product of a block's three [signs](CubeRotation::signs) is the determinant of this permutation.
-pub(crate) fn is_odd(own: [i32; 3], size: [i32; 3]) -> Option<bool> {
+pub fn is_odd(own: [i32; 3], size: [i32; 3]) -> Option<bool> {
     let is_distinct = own[0] != own[1] && own[1] != own[2] && own[0] != own[2];
     // The three cyclic permutations are the even ones.
     is_distinct.then(|| !(0..3).any(|by| (0..3).all(|k| size[k] == own[(k + by) % 3])))

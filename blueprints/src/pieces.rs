@@ -1,7 +1,7 @@
 //! What hangs together in a structure.
 
 /// Returns the lowest node of its connected component, for each of `n` nodes.
-pub(crate) fn pieces(n: usize, edges: impl IntoIterator<Item = (usize, usize)>) -> Vec<usize> {
+pub fn pieces(n: usize, edges: impl IntoIterator<Item = (usize, usize)>) -> Vec<usize> {
     let mut piece: Vec<usize> = (0..n).collect();
     for (a, b) in edges {
         let (low, high) = (piece[a].min(piece[b]), piece[a].max(piece[b]));

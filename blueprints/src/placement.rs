@@ -44,7 +44,7 @@ impl Placement {
 }
 
 /// Returns the size of a structure along x, y, and z, in units.
-pub(crate) fn extent_u(placements: &[Placement]) -> [i32; 3] {
+pub fn extent_u(placements: &[Placement]) -> [i32; 3] {
     std::array::from_fn(|k| {
         let ends = |sign: i32| placements.iter().map(move |p| p.center_half_units[k] + sign * p.size_cells()[k]);
         (ends(1).max().unwrap_or(0) - ends(-1).min().unwrap_or(0)) / 2
@@ -52,7 +52,7 @@ pub(crate) fn extent_u(placements: &[Placement]) -> [i32; 3] {
 }
 
 /// Moves a structure's lowest corner to the origin.
-pub(crate) fn move_to_origin(placements: &mut [Placement]) {
+pub fn move_to_origin(placements: &mut [Placement]) {
     let corner = |p: &Placement, k: usize| p.center_half_units[k] - p.size_cells()[k];
     let lowest: [i32; 3] = std::array::from_fn(|k| placements.iter().map(|p| corner(p, k)).min().unwrap_or(0));
     for placement in placements {

@@ -20,19 +20,26 @@ pub const SAFETY_FACTOR: f64 = 2.0;
 
 /// Two touching blocks by index in a list, and the points where their magnets meet, in half units.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Joint {
-    pub(crate) a: usize,
-    pub(crate) b: usize,
-    pub(crate) places: Vec<[i32; 3]>,
+pub struct Joint {
+    /// One of the blocks.
+    pub a: usize,
+    /// The other.
+    pub b: usize,
+    /// Where magnets meet, half units.
+    pub places: Vec<[i32; 3]>,
 }
 
 /// The load on a connection and its limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Load {
-    pub(crate) force_n: f64,
-    pub(crate) torque_nm: f64,
-    pub(crate) max_force_n: f64,
-    pub(crate) max_torque_nm: f64,
+pub struct Load {
+    /// Weight that hangs on it, N.
+    pub force_n: f64,
+    /// Torque of that weight, Nm.
+    pub torque_nm: f64,
+    /// Largest safe force, N.
+    pub max_force_n: f64,
+    /// Largest safe torque, Nm.
+    pub max_torque_nm: f64,
 }
 
 impl Load {
@@ -47,7 +54,7 @@ impl Load {
 /// cuts the structure in two are considered, and only if one part does not touch the ground: its weight is the force on
 /// the joint, and the torque is that force times the horizontal lever from the center of the contact. Parallel paths to
 /// the ground share the load in a proportion that statics alone cannot determine.
-pub(crate) fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32) -> Option<(usize, Load)> {
+pub fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32) -> Option<(usize, Load)> {
     let grounded: Vec<bool> = cells.iter().map(|cells| cells.iter().any(|cell| cell[2] == lowest)).collect();
     joints.iter().enumerate().find_map(|(at, joint)| {
         let others = joints.iter().enumerate().filter(|(i, _)| *i != at);

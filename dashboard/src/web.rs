@@ -22,7 +22,6 @@ mod server;
 mod stage;
 mod videos;
 
-use std::borrow::Cow;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -155,7 +154,7 @@ impl Page {
         let shown =
             Shown { about: source.about, board: board.clone(), replays: replays.clone(), videos, stage: source.stage };
         let mut tasks = JoinSet::new();
-        let first = shown.about.catalog.find(&shown.about.first()).map(Cow::into_owned);
+        let first = shown.about.catalog.get(&shown.about.first()).cloned();
         if let (Kind::Play, Some(stage), Some(first)) = (shown.about.kind, shown.stage.clone(), first) {
             let (replays, ended) = (replays.clone(), shutdown.clone());
             tasks.spawn(async move {

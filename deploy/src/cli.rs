@@ -24,7 +24,7 @@ mod sweep;
 mod values;
 mod watch;
 
-pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, GenerateArgs, ShowArgs};
+pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, ShowArgs};
 pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::record::{GoalArgs, RecordArgs};
 pub use self::render::{RenderArgs, VideoFormat};

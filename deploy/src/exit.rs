@@ -44,9 +44,6 @@ pub enum Failure {
     /// Blueprint files cannot be read or do not form a catalog; code 64.
     #[error(transparent)]
     Catalog(#[from] blueprints::CatalogError),
-    /// No blueprints of this kind can be generated; code 64.
-    #[error(transparent)]
-    Generate(#[from] blueprints::generator::GenerateError),
     /// A blueprint, a split, or a recording that was named cannot be used, or what a command makes of it cannot be
     /// written; code 64.
     #[error("{0}")]
@@ -182,7 +179,6 @@ impl Failure {
             | Self::Keys(_)
             | Self::Page(_)
             | Self::Catalog(_)
-            | Self::Generate(_)
             | Self::Input(_) => 64,
             Self::Bus(_) => 65,
             Self::Diverged(_) => 67,

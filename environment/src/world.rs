@@ -208,7 +208,7 @@ impl World {
 impl Env for World {
     fn reset(&mut self, task: &Task, catalog: &Catalog) -> Result<(), ResetError> {
         check_assignment(&task.assignment)?;
-        let find = |id| catalog.find(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
+        let find = |id| catalog.get(id).ok_or_else(|| ResetError::UnknownBlueprint(id.clone()));
         let blueprint = find(&task.blueprint)?.permuted(&task.assignment);
         let mut rng = ChaCha8Rng::seed_from_u64(task.seed);
         let layout = match &task.start {

@@ -1,14 +1,19 @@
 //! The command-line interface.
 
+use std::path::PathBuf;
+
+use blueprints::N_BLOCKS;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use deploy::cli::ConfigArgs;
 use deploy::telemetry::LogFormat;
 
-/// Takes measurements with code that is not part of the shipped program.
+use crate::generator::Style;
+
+/// Measures, and generates blueprints, with code that is not part of the shipped program.
 #[derive(Debug, Parser)]
 #[command(name = "lab", max_term_width = 100, arg_required_else_help = true)]
 pub(crate) struct Cli {
-    /// What to measure.
+    /// What to do.
     #[command(subcommand)]
     pub(crate) command: Command,
     /// Format of log lines; RUST_LOG selects what is logged.
@@ -16,7 +21,7 @@ pub(crate) struct Cli {
     pub(crate) log_format: LogFormat,
 }
 
-/// What to measure.
+/// What to do.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Send recorded segments from simulated actors through a router to a learner's ingest, and pull weights.
@@ -25,6 +30,8 @@ pub(crate) enum Command {
     /// without the training. At the end, the counts of both ends are compared; the exit code is 1 if an acknowledged
     /// segment was lost.
     Actors(Box<ActorsArgs>),
+    /// Generate blueprints that are not in the catalog, one file each.
+    Generate(GenerateArgs),
     /// A router process of `actors`, configured on stdin.
     #[command(hide = true)]
     Router,
@@ -34,6 +41,26 @@ pub(crate) enum Command {
     /// A process with some of the actors of `actors`, configured on stdin.
     #[command(hide = true)]
     Load,
+}
+
+/// Arguments of `generate`.
+#[derive(Debug, Args)]
+pub(crate) struct GenerateArgs {
+    /// Blocks per blueprint.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=N_BLOCKS as i64))]
+    pub(crate) size: u8,
+    /// How many to generate: the most varied of about four times as many candidates.
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=500))]
+    pub(crate) count: u16,
+    /// Random seed: different seeds generate different structures, equal seeds the same ones.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    pub(crate) seed: u64,
+    /// Style of the structures.
+    #[arg(long, value_enum, value_name = "STYLE", default_value_t = Style::Any)]
+    pub(crate) style: Style,
+    /// Folder for the files; created if it does not exist.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
 }
 
 /// Arguments of `actors`.

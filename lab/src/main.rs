@@ -1,9 +1,12 @@
-//! Measurements that are not shipped. `lab actors` measures how many actors a router and a learner's ingest carry.
+//! What is not shipped. `lab actors` measures how many actors a router and a learner's ingest carry, and `lab generate`
+//! writes blueprints.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod actors;
 mod cli;
+mod generate;
+mod generator;
 
 use std::process::ExitCode;
 
@@ -36,6 +39,7 @@ fn run(command: &Command, terminal: &Terminal) -> anyhow::Result<()> {
     check_variables(names.iter().map(String::as_str), &deploy::cli::program()).map_err(Failure::from)?;
     match command {
         Command::Actors(args) => actors::run(args, terminal)?,
+        Command::Generate(args) => generate::run(args, terminal)?,
         Command::Router => on_runtime(async |shutdown| parts::router(shutdown).await)?,
         Command::Ingest => on_runtime(async |shutdown| parts::ingest(shutdown).await)?,
         Command::Load => on_runtime(async |shutdown| parts::load(shutdown).await)?,

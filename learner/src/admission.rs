@@ -60,22 +60,15 @@ pub struct Admission {
 }
 
 impl Admission {
-    /// Creates rules that admit the training split of the catalog and the run's own tasks, from actors with its settings.
-    pub fn new(
-        catalog: &Catalog,
-        tasks: &[BlueprintId],
-        policy: &PolicyConfig,
-        settings: &CanonicalSettings,
-        acting: ActingLimits,
-    ) -> Self {
+    /// Creates rules that admit the training split of the catalog, from actors with these settings.
+    pub fn new(catalog: &Catalog, policy: &PolicyConfig, settings: &CanonicalSettings, acting: ActingLimits) -> Self {
         let split = catalog.of_split(Split::Train).into_iter().map(|blueprint| blueprint.id().clone());
-        let tasks = tasks.iter().filter(|id| catalog.find(id).is_some()).cloned();
         Self {
             settings_hash: settings.hash(),
             acting,
             n_grippers: policy.features.n_grippers.into(),
             move_head: policy.network.move_head,
-            training: split.chain(tasks).collect(),
+            training: split.collect(),
         }
     }
 
@@ -215,6 +208,8 @@ fn within(x: f32, limit: f32) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use proto::EpisodeStats;
 
     use super::*;
@@ -223,8 +218,10 @@ mod tests {
     use crate::tests::learning::small_setup;
 
     fn admission() -> Admission {
-        let tasks = vec!["gen1-arch-7_6_000".parse().unwrap()];
-        LearnerSetup { tasks, ..small_setup(1) }.admission()
+        let text = Catalog::builtin().get(&"6_005".parse().unwrap()).unwrap().to_toml("a test");
+        let own = Catalog::from_files([("my-tower.toml", text.replace("\"6_005\"", "\"my-tower\"").as_str())]).unwrap();
+        let catalog = Arc::new(Catalog::builtin().with(&own));
+        LearnerSetup { catalog, ..small_setup(1) }.admission()
     }
 
     fn of_goal(goal: &str, start: Start) -> Trajectory {
@@ -238,9 +235,8 @@ mod tests {
         let held_out = Catalog::builtin().iter().find(|blueprint| blueprint.split() != Split::Train).unwrap();
         for (goal, is_admitted) in [
             ("2_000", true),
-            // One of the run's own tasks.
-            ("gen1-arch-7_6_000", true),
-            ("gen1-tower-ff_4_003", false),
+            // A goal that the run was given.
+            ("my-tower", true),
             ("16_404", false),
             (held_out.id().as_str(), false),
             ("validation_7_000", false),
@@ -258,7 +254,7 @@ mod tests {
             (prebuilt("2_001"), true),
             (prebuilt(held_out.id().as_str()), false),
             (prebuilt("validation_7_000"), false),
-            (prebuilt("gen1-tower-ff_4_003"), false),
+            (prebuilt("my-tower"), true),
             (Start::NearGoal { undone: 1 }, false),
             (Start::AsItIs, false),
         ] {

@@ -69,7 +69,7 @@ impl Batch {
         };
         let mut last_scenes = Vec::new();
         for trajectory in trajectories {
-            let Some(blueprint) = catalog.find(&trajectory.task.blueprint) else { continue };
+            let Some(blueprint) = catalog.get(&trajectory.task.blueprint) else { continue };
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let policy_lag = policy_lag(version, &trajectory);
             let fingerprint = trajectory.fingerprint();

@@ -100,8 +100,8 @@ pub struct Learner {
 impl LearnerSetup {
     /// Returns what a learner with this setup admits.
     pub(crate) fn admission(&self) -> Admission {
-        let Self { catalog, tasks, policy, settings, acting, .. } = self;
-        Admission::new(catalog, tasks, policy, settings, *acting)
+        let Self { catalog, policy, settings, acting, .. } = self;
+        Admission::new(catalog, policy, settings, *acting)
     }
 }
 
@@ -115,7 +115,7 @@ impl Learner {
         if setup.tasks.is_empty() {
             return Err(LearnerError::NoTasks);
         }
-        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalog.find(id).is_none()) {
+        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalog.get(id).is_none()) {
             return Err(LearnerError::UnknownTask(unknown.clone()));
         }
         let device = setup.device.open()?;

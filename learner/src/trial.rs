@@ -16,7 +16,7 @@ impl Trial {
     /// Takes scenes from trajectories evenly over the batch.
     pub(crate) fn new(trajectories: &[Trajectory], catalog: &Catalog) -> Self {
         let last = |trajectory: &Trajectory| {
-            let blueprint = catalog.find(&trajectory.task.blueprint)?.permuted(&trajectory.task.assignment);
+            let blueprint = catalog.get(&trajectory.task.blueprint)?.permuted(&trajectory.task.assignment);
             Some((trajectory.last_scene.clone(), blueprint, trajectory.fingerprint()))
         };
         let every = trajectories.len().div_ceil(N_SCENES).max(1);

@@ -75,11 +75,11 @@ def _name_of(name: str, blueprint: Any, expected: str) -> str:
 def blueprints(blueprint: Names = "train") -> dict[str, int]:
     """Returns the block counts of blueprints by id.
 
-    `blueprint` is an id from the catalog (`4_000`) or the generator (`gen1-arch-7_6_000`), a split (`train`, `test`,
-    `test-literal`, `test-longest`, `test-tallest`, `validation`), the path of a TOML file or a folder of TOML files,
-    the contents of a TOML file, or a list of any of these. A string that contains `/` or ends in `.toml` is a path. Any
-    other string is a path only if it is neither a split nor an id. If a block in a file fits in several orientations, a
-    UserWarning reports the one used.
+    `blueprint` is an id from the catalog (`4_000`), a split (`train`, `test`, `test-literal`, `test-longest`,
+    `test-tallest`, `validation`), the path of a TOML file or a folder of TOML files, the contents of a TOML file, or a
+    list of any of these. A string that contains `/` or ends in `.toml` is a path. Any other string is a path only if it
+    is neither a split nor an id. If a block in a file fits in several orientations, a UserWarning reports the one
+    used.
     """
     return dict(_native.blueprints(names_of(blueprint)))
 

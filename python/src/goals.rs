@@ -89,7 +89,7 @@ impl Goals {
         if ids.is_empty() {
             return Err(GoalError::Empty);
         }
-        if let Some(gone) = ids.iter().find(|id| catalog.find(id).is_none()) {
+        if let Some(gone) = ids.iter().find(|id| catalog.get(id).is_none()) {
             return Err(GoalError::Replaced(gone.clone()));
         }
         Ok(Self { catalog: Arc::new(catalog), ids, sources, choices })
@@ -107,7 +107,7 @@ impl Goals {
 
     /// Returns the number of blocks of a goal.
     pub(crate) fn n_blocks(&self, goal: &BlueprintId) -> usize {
-        self.catalog.find(goal).map_or(0, |blueprint| blueprint.n_blocks())
+        self.catalog.get(goal).map_or(0, Blueprint::n_blocks)
     }
 }
 
@@ -129,9 +129,9 @@ fn add(own: &Catalog, ids: &mut Vec<BlueprintId>, catalog: &mut Catalog) -> Resu
     Ok(())
 }
 
-/// Parses an id. Returns `None` unless the catalog or the generator has that blueprint.
+/// Parses an id. Returns `None` unless the catalog has that blueprint.
 fn known(catalog: &Catalog, name: &str) -> Option<BlueprintId> {
-    name.parse::<BlueprintId>().ok().filter(|id| catalog.find(id).is_some())
+    name.parse::<BlueprintId>().ok().filter(|id| catalog.get(id).is_some())
 }
 
 /// Parses an id where a single blueprint is expected.

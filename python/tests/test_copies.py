@@ -30,7 +30,7 @@ ID = "Lodestone/Assembly-v0"
 CATALOG = Path(__file__).parents[2] / "blueprints/catalog"
 # Episodes that end by success and by time, and that begin in every way.
 WORLD: dict[str, Any] = {
-    "blueprint": ["2_000", "3_000", "gen1-arch-7_6_000"],
+    "blueprint": ["2_000", "3_000", "6_005"],
     "starts": {"near-goal": 2, "scattered": 1, "prebuilt": 1, "as-it-is": 3},
     "settings": {"episode_steps": 7, "randomization": {"friction": [0.5, 2]}},
 }

@@ -65,8 +65,8 @@ class SingleEnvironment(unittest.TestCase):
     def test_an_episode_can_be_asked_for(self) -> None:
         env = gymnasium.make(ID, blueprint="2_000")
         self.assertEqual(env.reset(seed=1)[1], {"blueprint": "2_000", "start": "scattered"})
-        options = {"blueprint": "gen1-arch-7_6_000", "start": "near-goal:2"}
-        self.assertEqual(env.reset(options=options)[1], {"blueprint": "gen1-arch-7_6_000", "start": "near-goal:2"})
+        options = {"blueprint": "6_005", "start": "near-goal:2"}
+        self.assertEqual(env.reset(options=options)[1], {"blueprint": "6_005", "start": "near-goal:2"})
         before = env.unwrapped.scene()["positions"]
         env.reset(options={"start": "as-it-is"})
         np.testing.assert_array_equal(env.unwrapped.scene()["positions"], before)

@@ -87,7 +87,7 @@ mod tests {
         let mut sizes = Sizes::default();
         update(&mut sizes, &[("2_000", 0, 40), ("2_001", 20, 20)]);
         assert_eq!(sizes.text(), None, "one size says no more than all episodes");
-        update(&mut sizes, &[("gen1-tower-ff_3_000", 1, 2), ("2_000", 39, 40)]);
+        update(&mut sizes, &[("my-tower_3_000", 1, 2), ("2_000", 39, 40)]);
         assert_eq!(sizes.text().unwrap(), "2: 59  3: 50 %");
         // The first 40 of two blocks are no longer needed.
         update(&mut sizes, &[("2_001", 40, 40), ("4_000", 0, 0), ("my-castle", 1, 4)]);

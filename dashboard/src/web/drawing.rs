@@ -150,7 +150,7 @@ pub(super) async fn inventory() -> Response {
 /// Returns the file of the blueprint named in the query.
 pub(super) async fn file(Extension(catalog): Extension<Arc<Catalog>>, RawQuery(query): RawQuery) -> Response {
     let id = id_of(query).parse::<BlueprintId>().ok();
-    match id.and_then(|id| catalog.find(&id).map(|blueprint| blueprint.to_toml(&format!("a copy of {id}")))) {
+    match id.and_then(|id| catalog.get(&id).map(|blueprint| blueprint.to_toml(&format!("a copy of {id}")))) {
         Some(text) => ([(CONTENT_TYPE, "application/toml")], text).into_response(),
         None => StatusCode::NOT_FOUND.into_response(),
     }

@@ -96,7 +96,7 @@ impl Replays {
 
     /// Returns the JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
     pub(super) fn show_known(&self, segments: &[Trajectory]) -> Option<Bytes> {
-        self.show(segments, self.catalog.find(&segments.first()?.task.blueprint)?.as_ref())
+        self.show(segments, self.catalog.get(&segments.first()?.task.blueprint)?)
     }
 
     /// Returns the JSON of a recorded episode with this goal; `None` if it cannot be shown. Takes around ten

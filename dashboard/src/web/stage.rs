@@ -202,7 +202,7 @@ fn number(key: &str, value: &str) -> Result<u64, String> {
 fn known(id: &str, catalog: &Catalog) -> Result<Blueprint, String> {
     let unknown = || format!("there is no blueprint `{id}`: /api/blueprints lists them");
     let id: BlueprintId = id.parse().map_err(|_| unknown())?;
-    Ok(catalog.find(&id).ok_or_else(unknown)?.into_owned())
+    catalog.get(&id).cloned().ok_or_else(unknown)
 }
 
 impl Order {

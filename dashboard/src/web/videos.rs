@@ -56,8 +56,8 @@ impl Videos {
     /// Returns a PNG of the last scene of the video with this id; `None` without a recording or if the goal is unknown.
     pub(super) fn poster(&self, catalog: &Catalog, asked: &str) -> Option<Vec<u8>> {
         let recording = self.recording(asked)?;
-        let goal = catalog.find(&recording.task.blueprint)?;
-        let episode = Episode::new(&[recording], &goal).ok()?;
+        let goal = catalog.get(&recording.task.blueprint)?;
+        let episode = Episode::new(&[recording], goal).ok()?;
         let frame = Video::new(&episode, POSTER_PX).frame(episode.length_s() + LAST_S);
         encode(&frame, N_COLORS).ok()
     }

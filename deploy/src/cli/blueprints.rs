@@ -3,8 +3,7 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-use blueprints::generator::Style;
-use blueprints::{N_BLOCKS, Split};
+use blueprints::Split;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, Subcommand};
 
@@ -15,8 +14,6 @@ pub enum BlueprintsCommand {
     List(BlueprintsArgs),
     /// Check the catalog, or blueprint files and folders.
     Check(CheckArgs),
-    /// Generate blueprints that are not in the catalog, one file each.
-    Generate(GenerateArgs),
     /// Draw blueprints as PNG pictures: one of each, with four views, and contact sheets of all.
     Show(ShowArgs),
 }
@@ -41,27 +38,6 @@ pub struct BlueprintsArgs {
     /// Print JSON.
     #[arg(long)]
     pub(crate) json: bool,
-}
-
-/// Arguments of `blueprints generate`.
-#[derive(Debug, Args)]
-pub struct GenerateArgs {
-    /// Blocks per blueprint.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(2..=N_BLOCKS as i64))]
-    pub(crate) size: u8,
-    /// How many to generate: the most varied of about four times as many candidates.
-    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=500))]
-    pub(crate) count: u16,
-    /// Random seed: different seeds generate different structures, equal seeds the same ones.
-    #[arg(long, value_name = "S", default_value_t = 0)]
-    pub(crate) seed: u64,
-    /// Style of the structures: any, tower, wall, arch, bridge, stairs, pyramid, table, ring, cross, letter, spine,
-    /// longest, or tallest.
-    #[arg(long, value_name = "STYLE", default_value_t = Style::Any)]
-    pub(crate) style: Style,
-    /// Folder for the files; created if it does not exist.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: PathBuf,
 }
 
 /// Arguments of `blueprints show`.

@@ -1,6 +1,5 @@
-//! `blueprints`: `list` and `check` are here, `generate` and `show` in files of their own.
+//! `blueprints`: `list` and `check` are here, `show` in a file of its own.
 
-mod generate;
 mod physical;
 mod show;
 mod table;
@@ -45,7 +44,6 @@ pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<()
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
         BlueprintsCommand::Check(args) => check(args, terminal),
-        BlueprintsCommand::Generate(args) => generate::run(args, terminal),
         BlueprintsCommand::Show(args) => show::run(args, terminal),
     }
 }

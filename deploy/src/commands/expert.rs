@@ -114,7 +114,7 @@ fn record(folder: &Path, catalog: &Catalog, report: &ExpertReport) -> anyhow::Re
     let mut known = BTreeSet::new();
     for (end, replay) in successes.chain(failures) {
         let id = &replay.task.blueprint;
-        let group = catalog.find(id).and_then(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks()));
+        let group = catalog.get(id).and_then(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks()));
         if known.insert((end, group)) {
             write_replay(folder, &format!("{id}-{end}.trajectory"), replay)?;
         }

@@ -1,6 +1,5 @@
 //! Resolves the blueprints that a command is about: from the catalog, generated, or from the user's files.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
@@ -74,7 +73,7 @@ impl Goals {
                 let id = name.to_string_lossy();
                 // A file with the same structure may already have replaced the built-in blueprint.
                 let found = find(&goals.catalog, &id).or_else(|error| find(Catalog::builtin(), &id).map_err(|_| error));
-                Catalog::of_one(found?.into_owned())
+                Catalog::of_one(found?.clone())
             };
             for blueprint in found.iter() {
                 let id = blueprint.id().clone();
@@ -129,7 +128,7 @@ impl Goals {
             }
             // Compare with the built-in catalog, because a blueprint of the same structure would replace the held-out
             // one.
-            if !Catalog::builtin().is_for_training(&goal) {
+            if !Catalog::builtin().is_for_training(goal) {
                 return Err(Failure::Usage(format!(
                     "--blueprint: {id} has the outline of a test or validation blueprint, which training may not see; \
                      change its shape"
@@ -258,13 +257,13 @@ pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<()
     Ok(())
 }
 
-/// Finds the blueprint with this id, in the catalog or by generating it, or else the one with this title.
+/// Finds the blueprint with this id, or else the one with this title.
 ///
 /// # Errors
 /// When there is none; the error contains the nearest id or title of the catalog.
-pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Blueprint>, Failure> {
-    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.find(&id));
-    let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id)).map(Cow::Borrowed);
+pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<&'c Blueprint, Failure> {
+    let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.get(&id));
+    let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id));
     found.or_else(titled).ok_or_else(|| {
         let nearest = nearest(id, catalog.iter().flat_map(|blueprint| [blueprint.id().as_str(), blueprint.title()]));
         let suggestion = suggestion_or(&nearest, "; `lodestone blueprints list` lists them");
@@ -275,7 +274,7 @@ pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<Cow<'c, Bluepri
 /// Whether a name refers to a file or folder. An id stays an id even if a folder has that name.
 pub(super) fn is_path(name: &OsStr) -> bool {
     let id = name.to_str().and_then(|id| id.parse::<BlueprintId>().ok());
-    let is_id = || id.is_some_and(|id| Catalog::builtin().find(&id).is_some());
+    let is_id = || id.is_some_and(|id| Catalog::builtin().get(&id).is_some());
     let bytes = name.as_encoded_bytes();
     bytes.contains(&b'/') || bytes.ends_with(b".toml") || (!is_id() && Path::new(name).exists())
 }
@@ -305,7 +304,7 @@ mod tests {
         std::fs::write(folder.path().join("b.toml"), text("3_001").replace("3_001", "3_900")).unwrap();
         let own = folder.path().display().to_string();
         assert_eq!(ids(&[]), Vec::<String>::new());
-        assert_eq!(ids(&["6_005", "gen1-any-0_6_000", "6_005"]), ["6_005", "gen1-any-0_6_000"]);
+        assert_eq!(ids(&["6_005", "2_003", "6_005"]), ["6_005", "2_003"]);
         assert_eq!(ids(&["6_005", &own]), ["6_005", "2_900", "3_900"]);
         assert_eq!(ids(&[&format!("{own}/b.toml")]), ["3_900"]);
     }
@@ -364,7 +363,6 @@ mod tests {
         let a = write("a/x.toml", text("2_003").replace("\"2_003\"", "\"x\""));
         let b = write("b/x.toml", text("3_001").replace("\"3_001\"", "\"x\""));
         let hiding = write("hiding.toml", text("3_001").replace("\"3_001\"", "\"3_000\""));
-        let generated = write("generated.toml", text("6_005").replace("\"6_005\"", "\"gen1-any-0_6_000\""));
         assert_eq!(ids(&[&copy, &copy]), ["copy"]);
         for (named, words) in [
             ([copy.as_str(), "6_005"], "6_005: 6_005 is the same structure as copy of"),
@@ -373,25 +371,11 @@ mod tests {
             ([hiding.as_str(), "3_000"], "the id 3_000 is taken by another structure of the catalog"),
             (["3_000", hiding.as_str()], "the id 3_000 is taken by another structure of the catalog"),
             ([hiding.as_str(), "6_005"], "the id 3_000 is taken by another structure of the catalog"),
-            ([generated.as_str(), "6_005"], "the id gen1-any-0_6_000 is taken by another structure"),
         ] {
             let named = named.map(OsString::from);
             let message = Goals::open(&named).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
-    }
-
-    #[test]
-    fn a_generated_goal_is_trained_on_and_kept() {
-        let folder = tempfile::tempdir().unwrap();
-        let goals = Goals::for_training(&["gen1-arch-7_6_000".into()], None).unwrap();
-        let run = RunPaths::new(folder.path().join("run"));
-        goals.keep(&run).unwrap();
-        std::fs::write(run.config(), "").unwrap();
-        let resumed = Goals::for_training(&[], Some(run.folder())).unwrap();
-        let id = "gen1-arch-7_6_000".parse().unwrap();
-        assert_eq!(resumed.catalog.get(&id), goals.catalog.get(&id));
-        assert!(goals.catalog.get(&id).is_some());
     }
 
     #[test]

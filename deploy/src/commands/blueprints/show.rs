@@ -1,6 +1,5 @@
 //! `blueprints show`: draws blueprints as PNG files.
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use anyhow::Context;
@@ -27,12 +26,11 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let named = if loaded.is_some() { Vec::new() } else { [&args.ids[..], &args.blueprint[..]].concat() };
     let goals = Goals::open(&named)?;
     inferred(&named)?.iter().for_each(|line| terminal.print(line));
-    let selected = if named.is_empty() {
+    let shown = if named.is_empty() {
         select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
     } else {
-        goals.blueprints().into_iter().map(Cow::Borrowed).collect()
+        goals.blueprints()
     };
-    let shown: Vec<&Blueprint> = selected.iter().map(AsRef::as_ref).collect();
     let mut painter = Painter::default();
     let mut files = Vec::new();
     if !args.only_sheets {
@@ -55,18 +53,18 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
 }
 
 /// The requested blueprints: by id in the given order, those of a split, or all.
-fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<Cow<'a, Blueprint>>, Failure> {
+fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<&'a Blueprint>, Failure> {
     if args.ids.is_empty() {
         let shown: Vec<_> = match args.split {
-            Some(split) => catalog.of_split(split).into_iter().map(Cow::Borrowed).collect(),
-            None => catalog.iter().map(Cow::Borrowed).collect(),
+            Some(split) => catalog.of_split(split),
+            None => catalog.iter().collect(),
         };
         return match (shown.is_empty(), args.split) {
             (true, Some(split)) => Err(Failure::Input(format!("the catalog has no blueprints of the split {split}"))),
             _ => Ok(shown),
         };
     }
-    let mut shown: Vec<Cow<'a, Blueprint>> = Vec::new();
+    let mut shown: Vec<&'a Blueprint> = Vec::new();
     for id in &args.ids {
         let blueprint = find(catalog, &id.to_string_lossy())?;
         if shown.iter().all(|other| other.id() != blueprint.id()) {

@@ -119,7 +119,7 @@ fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Fa
     let refused = |reason: String| Failure::Input(format!("a live episode: {reason}"));
     let first = segments.first().ok_or_else(|| refused("is empty".to_owned()))?;
     let goal = goals.find(&first.task.blueprint).map_err(refused)?;
-    let episode = Episode::new(segments, &goal).map_err(|error| refused(error.to_string()))?;
+    let episode = Episode::new(segments, goal).map_err(|error| refused(error.to_string()))?;
     let blueprint = &first.task.blueprint;
     let version = first.weights_version.0;
     Ok((format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1).into(), episode))

@@ -1,6 +1,5 @@
 //! The episodes to show, and how to read them from files of recorded trajectories.
 
-use std::borrow::Cow;
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io;
@@ -48,9 +47,9 @@ impl Goals {
     }
 
     /// Finds the blueprint, or explains why it is missing.
-    pub(super) fn find(&self, id: &BlueprintId) -> Result<Cow<'_, Blueprint>, String> {
+    pub(super) fn find(&self, id: &BlueprintId) -> Result<&Blueprint, String> {
         let catalog = &self.catalog;
-        catalog.find(id).ok_or_else(|| {
+        catalog.get(id).ok_or_else(|| {
             let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
             let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
             format!("its goal `{id}` is not in the catalog{like}; name its file with --blueprint")

@@ -1,6 +1,6 @@
 //! Distances between structures, and a selection of the most different ones.
 
-use crate::{Blueprint, Inventory};
+use blueprints::{Blueprint, Inventory};
 
 /// Returns features of a structure's composition and appearance, all on about the same scale.
 fn features(blueprint: &Blueprint) -> Vec<f64> {

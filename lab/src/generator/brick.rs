@@ -1,7 +1,7 @@
 //! Blocks as boxes of cells without magnet polarity, and the stock of available blocks.
 
-use crate::strength::Joint;
-use crate::{CubeRotation, Inventory, Placement};
+use blueprints::strength::Joint;
+use blueprints::{CubeRotation, Inventory, Placement};
 
 /// A unit cell by its lowest corner, in units.
 pub(super) type Cell = [i32; 3];

@@ -9,10 +9,10 @@
 
 use super::brick::{Brick, Cell};
 use super::dice::Dice;
-use crate::lattice::is_odd;
-use crate::pieces::pieces;
-use crate::strength::Joint;
-use crate::{CubeRotation, Inventory};
+use blueprints::lattice::is_odd;
+use blueprints::pieces::pieces;
+use blueprints::strength::Joint;
+use blueprints::{CubeRotation, Inventory};
 
 /// Returns a rotation for every brick, or `None` if the equations contradict each other.
 pub(super) fn turned(bricks: &[Brick], joints: &[(usize, Joint)], dice: &mut Dice) -> Option<Vec<CubeRotation>> {
@@ -58,7 +58,7 @@ fn rotation(brick: &Brick, signs: [i32; 3], dice: &mut Dice) -> Option<CubeRotat
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Inventory;
+    use blueprints::Inventory;
 
     #[test]
     fn only_blocks_with_three_different_sides_have_fixed_parity() {

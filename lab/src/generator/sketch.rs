@@ -5,7 +5,6 @@ mod furniture;
 mod letters;
 mod records;
 mod shape;
-mod spine;
 
 use super::Style;
 use super::brick::Stock;
@@ -31,7 +30,6 @@ pub(super) fn sketch(style: Style, n_blocks: usize, idea: usize, dice: &mut Dice
         Style::Ring => furniture::ring(volume, dice),
         Style::Cross => furniture::cross(volume, dice),
         Style::Letter => letters::letter(volume, dice),
-        Style::Spine => spine::spine(volume, dice),
         Style::Longest => records::longest(n_blocks, idea, dice),
         Style::Tallest => records::tallest(n_blocks, idea, dice),
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::brick::{Brick, Cell, Stock};
 use super::dice::Dice;
-use crate::Inventory;
+use blueprints::Inventory;
 
 /// Maximum number of pieces that a search places; many short searches find more than a few long ones.
 const MAX_NODES: usize = 600;
@@ -203,7 +203,7 @@ pub(super) fn shapes() -> &'static [(usize, [i32; 3])] {
         let mut shapes = BTreeSet::new();
         for (type_idx, block_type) in Inventory::standard().types().iter().enumerate() {
             let own = block_type.cells.map(i32::from);
-            shapes.extend(crate::CubeRotation::all().map(|r| (type_idx, r.apply(own).map(i32::abs))));
+            shapes.extend(blueprints::CubeRotation::all().map(|r| (type_idx, r.apply(own).map(i32::abs))));
         }
         shapes.into_iter().collect()
     });

@@ -5,11 +5,11 @@ use super::dice::Dice;
 use super::sketch::sketch;
 use super::tiling::{fill, mirror};
 use super::{Style, growth, poles};
-use crate::assembly::Assembly;
-use crate::placement::{extent_u, move_to_origin};
-use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
-use crate::strength::overloaded;
-use crate::{N_BLOCKS, Placement};
+use blueprints::assembly::Assembly;
+use blueprints::placement::{extent_u, move_to_origin};
+use blueprints::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
+use blueprints::strength::overloaded;
+use blueprints::{N_BLOCKS, Placement};
 
 /// Maximum number of draws.
 const MAX_DRAWS: usize = 20_000;

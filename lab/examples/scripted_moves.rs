@@ -4,7 +4,7 @@
 //! its two blocks join.
 //!
 //! ```sh
-//! cargo run --release -p evaluator --example scripted_moves -- 12 16 10   # sizes, and episodes for each training goal
+//! cargo run --release -p lab --example scripted_moves -- 12 16 10   # sizes, and episodes for each training goal
 //! ```
 
 use std::collections::BTreeMap;

@@ -1,4 +1,4 @@
-//! Procedural generation of structures; any process can rebuild a structure from its id.
+//! Procedural generation of structures, each of which can be built again from its id.
 //!
 //! A structured style draws a shape (a tower, an arch, a letter), fills it with blocks of the inventory, and rotates
 //! them so that all magnets that meet attract; [`Style::Any`] grows block by block. A structure that fails a check is
@@ -14,43 +14,39 @@ mod sketch;
 mod style;
 mod tiling;
 
-use parking_lot::Mutex;
 use std::collections::BTreeSet;
-use std::num::NonZeroUsize;
-use std::sync::LazyLock;
 
-use lru::LruCache;
-
-use crate::checks::check_placements;
-use crate::error::BlueprintError;
-use crate::placement::extent_u;
-use crate::{Blueprint, BlueprintId, Split};
+use blueprints::checks::check_placements;
+use blueprints::error::BlueprintError;
+use blueprints::placement::extent_u;
+use blueprints::{Blueprint, BlueprintId, Split};
+use clap::ValueEnum;
 use dice::Dice;
-pub use style::{InvalidStyle, Style};
+pub(crate) use style::Style;
 
 /// Version of the generator, part of every id. An id always names the same structure, so a change in the output needs a
 /// new version. Ids of other versions are unknown.
-pub const VERSION: u32 = 1;
+const VERSION: u32 = 1;
 
 /// Largest index of a structure with one style, seed, and size: ids have three digits for the index.
-pub const MAX_INDEX: u16 = 999;
+pub(crate) const MAX_INDEX: u16 = 999;
 
 /// Identifies one generated structure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Request {
+pub(crate) struct Request {
     /// The style.
-    pub style: Style,
+    pub(crate) style: Style,
     /// Seed; different seeds give different structures.
-    pub seed: u64,
+    pub(crate) seed: u64,
     /// Number of blocks, within the style's [`sizes`](Style::sizes).
-    pub n_blocks: usize,
+    pub(crate) n_blocks: usize,
     /// Index among the structures of this style, seed, and size, 0 to [`MAX_INDEX`].
-    pub index: u16,
+    pub(crate) index: u16,
 }
 
 /// Reasons why a structure could not be generated.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum GenerateError {
+pub(crate) enum GenerateError {
     /// The style does not support this number of blocks.
     #[error("style {style} needs {} to {} blocks, not {n_blocks}", style.sizes().start(), style.sizes().end())]
     Size {
@@ -100,7 +96,7 @@ impl Request {
     ///
     /// # Errors
     /// [`GenerateError::Size`] and [`GenerateError::Index`] if there is no such structure.
-    pub fn id(&self) -> Result<BlueprintId, GenerateError> {
+    pub(crate) fn id(&self) -> Result<BlueprintId, GenerateError> {
         let Self { style, seed, n_blocks, index } = *self;
         if !style.sizes().contains(&n_blocks) {
             return Err(GenerateError::Size { style, n_blocks });
@@ -113,18 +109,19 @@ impl Request {
     }
 
     /// Returns the request that an id encodes; `None` unless it is the id of a generated structure of this [`VERSION`].
-    pub fn from_id(id: &BlueprintId) -> Option<Self> {
+    pub(crate) fn from_id(id: &BlueprintId) -> Option<Self> {
         let (prefix, index) = id.as_str().rsplit_once('_')?;
         let (prefix, _) = prefix.rsplit_once('_')?;
         let (style, seed) = prefix.strip_prefix(&format!("gen{VERSION}-"))?.rsplit_once('-')?;
         let seed = u64::from_str_radix(seed, 16).ok()?;
-        let request = Self { style: style.parse().ok()?, seed, n_blocks: id.size()?, index: index.parse().ok()? };
+        let request =
+            Self { style: Style::from_str(style, false).ok()?, seed, n_blocks: id.size()?, index: index.parse().ok()? };
         // Leading zeros of the seed would give one structure two ids.
         (request.id().as_ref() == Ok(id)).then_some(request)
     }
 
     /// Returns the origin of the structure, for its file.
-    pub fn provenance(&self) -> String {
+    pub(crate) fn provenance(&self) -> String {
         let Self { style, seed, index, .. } = self;
         format!("generated: version {VERSION}, style {style}, seed {seed}, index {index}")
     }
@@ -150,32 +147,13 @@ impl Request {
 /// # Errors
 /// [`GenerateError::Size`] and [`GenerateError::Index`] for a request outside the range, and
 /// [`GenerateError::Exhausted`] for the rare request without a structure.
-pub fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
+pub(crate) fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
     let id = request.id()?;
     let found = search::search(request.style, request.n_blocks, &mut request.dice())
         .map_err(|n_draws| GenerateError::Exhausted { id: id.clone(), n_draws })?;
     let title = title(&found, request.style);
     check_placements(id.clone(), Split::Train, title, &found.placements)
         .map_err(|error| GenerateError::Unsound { id, error })
-}
-
-/// Number of structures that [`made`] caches, a few kilobytes each; more than the concurrent episodes of a process.
-const MADE_CAPACITY: NonZeroUsize = NonZeroUsize::new(4096).expect("it is not zero");
-
-/// Generates the structure that an id names, or takes it from a cache of recent ones; `None` unless it is the id of a
-/// generated structure of this [`VERSION`], or if the request has no structure.
-pub fn made(id: &BlueprintId) -> Option<Blueprint> {
-    static MADE: LazyLock<Mutex<LruCache<BlueprintId, Option<Blueprint>>>> =
-        LazyLock::new(|| Mutex::new(LruCache::new(MADE_CAPACITY)));
-    let request = Request::from_id(id)?;
-    let lock = || MADE.lock();
-    if let Some(known) = lock().get(id) {
-        return known.clone();
-    }
-    // Generate without holding the lock, so that other threads do not wait.
-    let blueprint = generate(&request).ok();
-    lock().put(id.clone(), blueprint.clone());
-    blueprint
 }
 
 /// Generates `count` structures that differ from each other as much as possible, by increasing index.
@@ -186,7 +164,7 @@ pub fn made(id: &BlueprintId) -> Option<Blueprint> {
 ///
 /// # Errors
 /// Those of [`generate`], and [`GenerateError::TooFew`] if the indices run out first.
-pub fn generate_many(
+pub(crate) fn generate_many(
     style: Style,
     seed: u64,
     n_blocks: usize,
@@ -225,3 +203,6 @@ fn title(found: &search::Found, style: Style) -> String {
         _ => format!("{} of {n_blocks} blocks, {z} u high", found.words),
     }
 }
+
+#[cfg(test)]
+mod tests;
