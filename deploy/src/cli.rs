@@ -390,7 +390,7 @@ pub struct EvalArgs {
     /// The scripted expert, in the default world; of the settings, `environment`, `evaluator`, and `seed` matter.
     #[arg(long)]
     pub(crate) expert: bool,
-    /// Only this blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
+    /// Only this blueprint: an id or a name such as scorpion, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
     pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
@@ -412,15 +412,8 @@ pub struct EvalArgs {
     #[arg(long, value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
     /// Also print how the episodes ended, by number of blocks.
-    #[arg(long, conflicts_with_all = ["json", "expert"])]
+    #[arg(long, conflicts_with = "json")]
     pub(crate) endings: bool,
-    /// Write the cause of each of the expert's failures (failures.json) and a replay of it to this new folder.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["checkpoint", "pretrained"])]
-    pub(crate) explain: Option<PathBuf>,
-    /// Write replays of the expert's first success and first failure of each group to this new folder, for `lodestone
-    /// render`.
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["checkpoint", "pretrained"])]
-    pub(crate) record: Option<PathBuf>,
     /// Print every blueprint, not only the groups and the worst blueprints.
     #[arg(long)]
     pub(crate) verbose: bool,

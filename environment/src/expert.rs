@@ -44,19 +44,6 @@ pub struct Expert {
     n_grippers: usize,
 }
 
-/// What the expert does in a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Activity {
-    /// Takes wrong connections apart, or a piece that cannot be completed.
-    TakingDown,
-    /// Turns the base onto its side or carries it to free ground.
-    Settling,
-    /// Throws aside a block that is in the path of another one.
-    Clearing,
-    /// Fetches blocks and brings them in.
-    Adding,
-}
-
 /// Command to one gripper for a step.
 #[derive(Clone, Copy, Debug)]
 struct Command {
@@ -88,24 +75,19 @@ impl Expert {
 
     /// Returns the action for `scene`.
     pub fn act(&mut self, scene: &Scene) -> Action {
-        self.decide(scene).0
-    }
-
-    /// Returns the action for `scene` and its activity.
-    pub fn decide(&mut self, scene: &Scene) -> (Action, Activity) {
         let view = View::new(scene, &self.blueprint, self.assembly.blocks());
-        let (activity, commands) = self.commands(&view);
-        (self.action(&view, &commands), activity)
+        let commands = self.commands(&view);
+        self.action(&view, &commands)
     }
 
-    fn commands(&mut self, view: &View) -> (Activity, Vec<Command>) {
+    fn commands(&mut self, view: &View) -> Vec<Command> {
         if let Some(commands) = self.take_down(view) {
-            return (Activity::TakingDown, commands);
+            return commands;
         }
         match self.base(view) {
-            Err(piece) => (Activity::TakingDown, self.shrink(view, piece)),
+            Err(piece) => self.shrink(view, piece),
             Ok(base) => match self.settle(view, &base) {
-                Some(command) => (Activity::Settling, vec![command]),
+                Some(command) => vec![command],
                 None => self.add(view, &base),
             },
         }

@@ -29,7 +29,7 @@ mod reset;
 pub use arrangement::{Arrangement, ArrangementError};
 pub use config::EnvironmentConfig;
 pub use env::{Env, ResetError, StartError, StepResult};
-pub use expert::{Activity, Expert, ExpertAgent};
+pub use expert::{Expert, ExpertAgent};
 pub use reset::sample_assignment;
 pub use success::StableSuccess;
 pub use vec_env::{Step, VecEnv};

@@ -1,13 +1,15 @@
 //! Evaluates a frozen policy on blueprints, with fixed episode seeds.
 
 use blueprints::Blueprint;
+use environment::ExpertAgent;
 use policy::{Policy, PolicyConfig};
 use proto::metrics::{EvalReport, EvalResetFree};
-use proto::{Agent, Valid, Weights};
+use proto::{ActionMode, Agent, Valid, Weights, WeightsVersion};
 
-use crate::config::ResetFreeConfig;
+use crate::config::{EpisodeConfig, ResetFreeConfig};
 use crate::endings::Endings;
 use crate::follower::{Both, Follower};
+use crate::performance::Performer;
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
@@ -17,11 +19,24 @@ use crate::setup::{EvalError, EvalSetup};
 /// Number of episodes per action mode after which an evaluation first reports intermediate results.
 pub const FIRST_PART: usize = 32;
 
+/// The weights that an agent acts with; of the expert, which has none, zeros.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Learned {
+    version: WeightsVersion,
+    n_env_steps: u64,
+}
+
+impl Learned {
+    pub(crate) fn of(weights: &Weights) -> Self {
+        Self { version: weights.version, n_env_steps: weights.n_env_steps }
+    }
+}
+
 /// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` per blueprint in each action
 /// mode, followed by the reset-free runs if the setup has any.
 ///
 /// Start states depend only on the seed, the blueprint, and the episode index, not on the weights, the other
-/// blueprints, or the action mode. A successful episode continues for up to 10 steps after the grippers have let go, to
+/// blueprints, or the action mode. After a success, a copy of the world goes on for up to 10 steps with idle grippers, to
 /// test whether the success is stable. The report's duration stays 0, because no clock is read. `keep_going` is called
 /// at every step.
 ///
@@ -35,41 +50,60 @@ pub fn evaluate(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
     let follower = Follower { keep_going, ..Follower::default() };
-    let report = evaluate_followed(setup, policy, weights, blueprints, &follower, None)?;
+    let report = evaluate_followed(setup, Performer::Policy(policy, weights), blueprints, &follower, None)?;
     if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
 }
 
-/// Like [`evaluate()`], but calls `follower` for each episode, and returns a partial report when `keep_going` returns
-/// false. A partial report is marked incomplete and has no reset-free runs. Counts in `endings`, if given, how the
-/// episodes end, those of reset-free runs included.
+/// Like [`evaluate()`] for either agent, but calls `follower` for each episode, and returns a partial report when
+/// `keep_going` returns false. A partial report is marked incomplete and has no reset-free runs. Counts in `endings`, if
+/// given, how the episodes end, but not those of reset-free runs. The expert has one action mode, `greedy`, and no
+/// weights: its report has version 0.
 ///
 /// # Errors
 /// If the weights do not fit or an episode cannot be started.
 pub fn evaluate_followed(
     setup: &EvalSetup<'_>,
-    policy: &Valid<PolicyConfig>,
-    weights: &Weights,
+    performer: Performer<'_>,
     blueprints: &[&Blueprint],
     follower: &Follower<'_>,
     endings: Option<&Endings>,
 ) -> Result<EvalReport, EvalError> {
-    let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
+    match performer {
+        Performer::Expert => {
+            let episodes = EpisodeConfig { acting: vec![ActionMode::Greedy], ..setup.episodes.clone() };
+            let setup = EvalSetup { episodes, ..setup.clone() };
+            let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
+            evaluate_agent(&setup, &agent, Learned::default(), blueprints, follower, endings)
+        }
+        Performer::Policy(policy, weights) => {
+            let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
+            evaluate_agent(setup, &agent, Learned::of(weights), blueprints, follower, endings)
+        }
+    }
+}
+
+fn evaluate_agent<A: Agent>(
+    setup: &EvalSetup<'_>,
+    agent: &(dyn Fn() -> Result<A, EvalError> + Sync),
+    learned: Learned,
+    blueprints: &[&Blueprint],
+    follower: &Follower<'_>,
+    endings: Option<&Endings>,
+) -> Result<EvalReport, EvalError>
+where
+    EvalError: From<A::Error>,
+{
     let observer = Both(&endings, follower);
-    let pool = EvaluationPool {
-        setup,
-        agent: &agent,
-        observer: Some(&observer),
-        progress: None,
-        keep_going: follower.keep_going,
-    };
+    let keep_going = follower.keep_going;
+    let pool = EvaluationPool { setup, agent, observer: Some(&observer), progress: None, keep_going };
     let mut last_part = None;
-    match evaluate_in_parts(&pool, weights, blueprints, &mut |part| last_part = Some(part)) {
+    match evaluate_in_parts(&pool, learned, blueprints, &mut |part| last_part = Some(part)) {
         Err(EvalError::Interrupted) => last_part.ok_or(EvalError::Interrupted),
         ended => ended,
     }
 }
 
-/// Like [`evaluate`] with the agents of the pool, which act with `weights`. Reports intermediate results to `on_part`:
+/// Like [`evaluate`] with the agents of the pool, which act with what was `learned`. Reports intermediate results to `on_part`:
 /// of the first [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all blueprints, so
 /// its groups are fair samples of the whole. If the pool is interrupted, the last part covers all episodes that have
 /// ended.
@@ -78,7 +112,7 @@ pub fn evaluate_followed(
 /// As for [`evaluate`].
 pub(crate) fn evaluate_in_parts<A: Agent, O: EpisodeObserver<A>>(
     pool: &EvaluationPool<'_, A, O>,
-    weights: &Weights,
+    learned: Learned,
     blueprints: &[&Blueprint],
     on_part: &mut dyn FnMut(EvalReport),
 ) -> Result<EvalReport, EvalError>
@@ -95,7 +129,7 @@ where
         .flat_map(|episode_idx| spread.iter().map(move |&blueprint| sequence(blueprint, episode_idx)))
         .collect();
     let report = |episodes: &[EpisodeResult], is_complete| {
-        let mut report = summarize(weights.version, weights.n_env_steps, episodes);
+        let mut report = summarize(learned.version, learned.n_env_steps, episodes);
         report.summary.seed = setup.seed;
         report.summary.n_planned = sequences.len() as u64;
         report.summary.is_complete = is_complete;

@@ -4,8 +4,8 @@
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
 //! [`episodes`] and `reset_free` (what is run) → `follower` (callbacks), `connections` and [`endings`] (how episodes
 //! end) → [`table`] (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the
-//! bus). `videos` records videos in every evaluation, [`expert`] evaluates the scripted expert in the same way,
-//! [`perform`] plays one episode for display, and [`record()`] records many.
+//! bus). `videos` records videos in every evaluation, [`perform`] plays one episode for display, and [`record()`] records
+//! many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -14,7 +14,6 @@ pub mod config;
 mod connections;
 pub mod endings;
 pub mod episodes;
-pub mod expert;
 mod follower;
 mod nice;
 mod performance;
@@ -40,7 +39,6 @@ pub use config::{
 pub use endings::{Ending, Endings, SizeEndings};
 pub use environment::EnvironmentConfig;
 pub use episodes::{evaluate, evaluate_followed};
-pub use expert::{Cause, ExpertFailure, ExpertReport, evaluate_expert_followed};
 pub use follower::Follower;
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
@@ -48,4 +46,4 @@ pub use pool::EvaluationProgress;
 pub use record::{Callbacks, Recorded, record};
 pub use run::{Listeners, Stop, Summary, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
-pub use table::{Detail, render, render_endings, render_expert};
+pub use table::{Detail, render, render_endings};

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
 
 use crate::endings::{Ending, SizeEndings};
-use crate::expert::{Cause, ExpertBlueprint, ExpertReport};
 
 /// Level of detail of the text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,16 +40,16 @@ enum Row {
 pub fn render(report: &EvalReport, detail: Detail) -> String {
     let summary = &report.summary;
     let mut text = Table::default();
-    text.words(format!("weights {} after {} environment steps", summary.weights_version.0, summary.n_env_steps));
+    // The expert has no weights.
+    if summary.weights_version.0 > 0 {
+        text.words(format!("weights {} after {} environment steps", summary.weights_version.0, summary.n_env_steps));
+    }
     if !summary.is_complete {
         text.words("interrupted: only the episodes that had ended count".to_owned());
     }
-    let of_blueprint = |text: &mut Table, score: &EvalBlueprint| {
-        text.lines(&format!("{} {}", score.split, score.blueprint), &score.greedy, &score.sampled);
-    };
     if let [one] = &report.blueprints[..] {
         text.header("blueprint");
-        of_blueprint(&mut text, one);
+        text.blueprint(one);
     } else {
         text.header("group (blueprints)");
         let all = (summary.groups.len() != 1).then_some(&summary.all);
@@ -63,30 +62,24 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
         let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
         text.lines(&name, &runs.greedy.outcome, &runs.sampled.outcome);
     }
+    if report.blueprints.len() != 1 {
+        blueprints(&mut text, &report.blueprints, detail);
+    }
+    text.render()
+}
+
+/// Writes the section about single blueprints.
+fn blueprints(text: &mut Table, all: &[EvalBlueprint], detail: Detail) {
     let rate = |score: &EvalBlueprint| {
         let evaluated =
             [score.greedy.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
         evaluated.map_or(0.0, |success| success.rate)
     };
-    if report.blueprints.len() != 1 {
-        blueprints(&mut text, &report.blueprints, detail, rate, of_blueprint);
-    }
-    text.render()
-}
-
-/// Writes the section about single blueprints, with a call of `write` for each. `rate` returns its success, 0 to 1.
-fn blueprints<B>(
-    text: &mut Table,
-    all: &[B],
-    detail: Detail,
-    rate: impl Fn(&B) -> f64,
-    write: impl Fn(&mut Table, &B),
-) {
-    let (title, shown): (_, Vec<&B>) = match detail {
+    let (title, shown): (_, Vec<&EvalBlueprint>) = match detail {
         Detail::Groups => return,
         Detail::Blueprints => ("blueprint".to_owned(), all.iter().collect()),
         Detail::Worst(n) => {
-            let mut imperfect: Vec<&B> = all.iter().filter(|one| rate(one) < 1.0).collect();
+            let mut imperfect: Vec<&EvalBlueprint> = all.iter().filter(|one| rate(one) < 1.0).collect();
             imperfect.sort_by(|a, b| rate(a).total_cmp(&rate(b)));
             let n_imperfect = imperfect.len();
             imperfect.truncate(n);
@@ -95,43 +88,8 @@ fn blueprints<B>(
     };
     if !shown.is_empty() {
         text.header(&title);
-        shown.into_iter().for_each(|one| write(text, one));
+        shown.into_iter().for_each(|one| text.blueprint(one));
     }
-}
-
-/// Formats the expert's report as lines, each ending with a line break. The columns are those of [`render()`]; `built`
-/// is the number of blueprints that were built at least once.
-pub fn render_expert(report: &ExpertReport, detail: Detail) -> String {
-    let mut text = Table::default();
-    if !report.is_complete {
-        text.words("interrupted: only the episodes that had ended count".to_owned());
-    }
-    let of_blueprint = |text: &mut Table, score: &ExpertBlueprint| {
-        text.line(&format!("{} {}", score.split, score.blueprint), "expert", &score.outcome);
-    };
-    if let [one] = &report.blueprints[..] {
-        text.header("blueprint");
-        of_blueprint(&mut text, one);
-    } else {
-        text.header("group (blueprints, built)");
-        for group in &report.groups {
-            let name = format!("{} ({}, {})", group.name, group.n_blueprints, group.n_built);
-            text.line(&name, "expert", &group.outcome);
-        }
-    }
-    if let Some(found) = &report.reset_free {
-        let name = format!("reset-free ({} x {})", found.n_runs, found.n_goals);
-        text.line(&name, "expert", &found.runs.outcome);
-    }
-    if report.blueprints.len() != 1 {
-        blueprints(&mut text, &report.blueprints, detail, |score| score.outcome.success.rate, of_blueprint);
-    }
-    let mut causes: BTreeMap<Cause, usize> = BTreeMap::new();
-    report.failures.iter().for_each(|failure| *causes.entry(failure.trouble.cause).or_default() += 1);
-    for (cause, n) in causes {
-        text.words(format!("failed for {cause:<24} {n:>6}"));
-    }
-    text.render()
 }
 
 /// Formats how episodes ended as lines, each ending with a line break: the share of each [ending](Ending) in percent;
@@ -170,6 +128,10 @@ impl Table {
     fn header(&mut self, what: &str) {
         let columns = "actions     of     %    interval stable steps return";
         self.0.push(Row::Columns(what.to_owned(), columns.to_owned()));
+    }
+
+    fn blueprint(&mut self, score: &EvalBlueprint) {
+        self.lines(&format!("{} {}", score.split, score.blueprint), &score.greedy, &score.sampled);
     }
 
     /// Adds a line for each evaluated action mode.

@@ -6,8 +6,9 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use proto::{Action, Pose, Start, Task, Valid};
 
 use crate::config::EpisodeConfig;
-use crate::expert::evaluate_expert_followed;
+use crate::episodes::evaluate_followed;
 use crate::follower::Follower;
+use crate::performance::Performer;
 use crate::setup::{EvalError, EvalSetup, N_WORLDS};
 
 /// Maximum distance that a block of a standing blueprint may move, m (0.2 units).
@@ -94,8 +95,8 @@ pub fn try_building(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprin
         n_worlds: N_WORLDS,
         seed: 0,
     };
-    let report = evaluate_expert_followed(&setup, &[blueprint], &Follower::default())?;
-    let n_successes = report.blueprints.iter().map(|found| found.outcome.success.n_successes).sum();
+    let report = evaluate_followed(&setup, Performer::Expert, &[blueprint], &Follower::default(), None)?;
+    let n_successes = report.blueprints.iter().map(|found| found.greedy.success.n_successes).sum();
     Ok((n_successes, u64::from(N_EPISODES)))
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::judges::{output_of_script, python};
-use crate::support::program::{finished, kill, lines, lodestone, names, printed, printed_json, read_json, refused};
+use crate::support::program::{finished, kill, lines, lodestone, names, printed, printed_json, refused};
 
 /// Expects this exit code and all of `words` on stderr.
 fn check_refused(args: &[&str], variables: &[(&str, &str)], file: Option<&str>, code: i32, words: &[&str]) {
@@ -41,7 +41,6 @@ fn wrong_flags_are_named_with_what_is_valid() {
         (&["eval", "--checkpoint", "x", "--split", "trian"], &["--split", "trian", "train"]),
         (&["eval", "--checkpoint", "x", "--episodes", "0"], &["--episodes", "0 is not in 1..=10000"]),
         (&["eval", "--expert", "--pretrained"], &["--expert", "cannot be used with"]),
-        (&["eval", "--pretrained", "--explain", "why"], &["--explain", "cannot be used with"]),
         (&["eval", "--expert", "--blueprint", "2_000", "--split", "train"], &["--split", "cannot be used with"]),
         (&["router"], &["--listen"]),
         (&["render", "x.trajectory"], &["--out"]),
@@ -372,25 +371,22 @@ fn what_cannot_be_drawn_is_named_before_anything_is_written() {
 }
 
 #[test]
-fn the_expert_is_evaluated_and_its_failures_are_explained() {
+fn the_expert_is_evaluated_like_a_policy() {
     let folder = tempfile::tempdir().unwrap();
-    let judge = |args: &[&str]| {
-        let eval = ["eval", "--expert", "--episodes", "2", "--json"];
-        printed_json(lodestone(folder.path()).args(eval).args(args))
+    let eval = |args: &[&str]| {
+        let mut command = lodestone(folder.path());
+        command.args(["eval", "--expert", "--episodes", "2"]).args(args);
+        command
     };
-    let good = judge(&["--blueprint", "2_000", "--blueprint", "6_005"]);
+    let json = |args: &[&str]| printed_json(eval(args).arg("--json"));
+    let good = json(&["--blueprint", "2_000", "--blueprint", "6_005"]);
     assert_eq!(good["blueprints"].as_array().unwrap().len(), 2);
-    assert_eq!(good["groups"][0]["outcome"]["success"]["n_episodes"], 4);
-    assert!(good["steps_per_second"].as_f64().unwrap() > 0.0);
-    assert_eq!(judge(&["--blueprint", "2_000", "--set", "environment.n_grippers=1"])["groups"][0]["n_built"], 1);
-    let bad = judge(&["--blueprint", "16_000", "--set", "environment.episode_steps=5", "--explain", "why"]);
-    assert_eq!(bad["groups"][0]["outcome"]["success"]["n_successes"], 0);
-    let causes = read_json(&folder.path().join("why/failures.json"));
-    assert_eq!((causes[0]["cause"].as_str(), causes[1]["episode_idx"].as_u64()), (Some("time"), Some(1)));
-    let replay = folder.path().join("why").join(causes[0]["replay"].as_str().unwrap());
-    let replay = proto::codec::decode_recording(&std::fs::read(replay).unwrap()).unwrap();
-    assert_eq!((replay.task.blueprint.as_str(), replay.transitions.len()), ("16_000", 5));
-    // An existing folder is not written to.
-    let again = ["eval", "--expert", "--blueprint", "2_000", "--explain", "why"];
-    refused(lodestone(folder.path()).args(again), 1, &["cannot make the folder why"]);
+    assert_eq!(good["summary"]["all"]["greedy"]["success"]["n_episodes"], 4);
+    let one_gripper = json(&["--blueprint", "2_000", "--set", "environment.n_grippers=1"]);
+    assert_ne!(one_gripper["summary"]["all"]["greedy"]["success"]["n_successes"], 0);
+    let short = printed(&mut eval(&["--blueprint", "16_000", "--set", "environment.episode_steps=5", "--endings"]));
+    assert!(short.starts_with("blueprint "), "{short}");
+    // Time runs out in all of them.
+    let ending = short.lines().find(|line| line.starts_with("greedy      16      2")).unwrap_or_default();
+    assert!(ending.contains(" 100.0 "), "{short}");
 }

@@ -14,7 +14,7 @@ use super::values::endpoint;
 /// Arguments of `render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Recorded trajectories, for example from `eval --expert --record DIR`; segments of one episode become one video. For
+    /// Recorded trajectories, for example from `record`; segments of one episode become one video. For
     /// the folder of a run, all recordings of its evaluator.
     #[arg(value_name = "FILE_OR_RUN", required_unless_present = "connect")]
     pub(crate) files: Vec<PathBuf>,

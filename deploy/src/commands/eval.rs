@@ -4,33 +4,38 @@ use std::time::Instant;
 
 use blueprints::Split;
 use evaluator::{
-    Endings, EvalSetup, EvaluatorConfig, Follower, N_WORLDS, Selection, evaluate_followed, render, render_endings,
+    Endings, EvalSetup, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection, evaluate_followed, render,
+    render_endings,
 };
+use proto::Valid;
 use tokio_util::sync::CancellationToken;
 
-use super::expert;
 use super::goals::{Goals, tell_choices};
 use super::models::Source;
 use crate::cli::EvalArgs;
-use crate::config::{Config, Override};
+use crate::config::{Base, Config, Override, merge};
 use crate::exit::Failure;
 use crate::limits;
 use crate::live::{self, EpisodeCounter, Terminal};
 
+/// What differs from the defaults in the expert's world: starts as in the table of results, and the seed of its figures.
+const OF_EXPERT: &str = "seed = 0\nevaluator.episodes.starts = \"mixed\"";
+
 /// Runs the episodes and prints the report; if `shutdown` comes first, the report of the episodes so far.
 ///
 /// The world and the seed come from the configuration of the run that trained the policy, or from the defaults. So do,
-/// without `--split`, the blueprints, which are those of the run's last evaluation; the shipped policy gets the paper's.
+/// without `--split`, the blueprints, which are those of the run's last evaluation; the shipped policy and the expert
+/// get the paper's.
 pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
-    if args.expert {
-        return expert::run(args, terminal, shutdown);
-    }
-    let source = Source::of(args.checkpoint.as_deref())?;
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
-    let config = source.config(&overrides)?;
+    let source = if args.expert { None } else { Some(Source::of(args.checkpoint.as_deref())?) };
+    let config = match &source {
+        Some(source) => source.config(&overrides)?,
+        None => config_of_expert(&overrides)?,
+    };
     let selection = if !args.split.is_empty() {
         Selection { splits: args.split.clone(), ..Selection::default() }
-    } else if args.pretrained {
+    } else if args.checkpoint.is_none() {
         Selection::default()
     } else {
         final_selection(&config.evaluator)
@@ -38,27 +43,30 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open_beside(&args.blueprint, args.checkpoint.as_deref())?;
     let blueprints = goals.or_selected(&selection)?;
-    let environment = Config::evaluation_environment(&config);
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     episodes.n_threads = limits::n_threads(args.threads);
+    let n_modes = if args.expert { 1 } else { episodes.acting.len() };
     let setup = EvalSetup {
         catalog: &goals.catalog,
-        environment,
+        environment: Config::evaluation_environment(&config),
         episodes,
         reset_free: args.reset_free.then(|| config.evaluator.reset_free.clone().unwrap_or_default()),
-        n_worlds: N_WORLDS,
+        // The expert plans for each world separately, so more than one world per thread gains nothing.
+        n_worlds: if args.expert { 1 } else { N_WORLDS },
         seed: config.seed,
     };
-    let n_planned = setup.episodes.acting.len() * blueprints.len();
-    let n_planned = n_planned as u64 * u64::from(setup.episodes.n_episodes);
+    let n_planned = (n_modes * blueprints.len()) as u64 * u64::from(args.episodes);
     let episodes = EpisodeCounter::new(terminal.on_stderr(), n_planned);
     let start = Instant::now();
     let follower =
         Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
     let endings = args.endings.then(Endings::default);
-    let weights = &source.model.weights;
-    let report = evaluate_followed(&setup, &source.model.policy, weights, &blueprints, &follower, endings.as_ref());
+    let performer = match &source {
+        Some(source) => Performer::Policy(&source.model.policy, &source.model.weights),
+        None => Performer::Expert,
+    };
+    let report = evaluate_followed(&setup, performer, &blueprints, &follower, endings.as_ref());
     let n_ended = episodes.finish();
     let mut report = report.map_err(anyhow::Error::from)?;
     report.summary.elapsed_s = start.elapsed().as_secs_f64();
@@ -71,6 +79,15 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         }
     }
     if report.summary.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
+}
+
+/// The default configuration with `overrides` applied.
+fn config_of_expert(overrides: &[Override]) -> Result<Valid<Config>, Failure> {
+    Override::only_in(&["environment", "evaluator", "seed"], overrides)?;
+    let mut config = merge(OF_EXPERT, "the defaults", Base::Defaults, overrides)?;
+    // No policy acts here.
+    config.policy.features.n_grippers = config.environment.n_grippers;
+    Ok(config.checked()?)
 }
 
 /// The blueprints of the run's last evaluation. The validation split serves decisions during development, so it is

@@ -5,7 +5,6 @@ mod blueprints;
 mod common;
 mod completions;
 mod eval;
-mod expert;
 mod files;
 mod goals;
 mod in_process;

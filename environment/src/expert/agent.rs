@@ -6,7 +6,7 @@ use blueprints::Blueprint;
 use proto::{Action, ActionMode, Agent, Decision, Observation};
 use rand_chacha::ChaCha8Rng;
 
-use super::{Activity, Expert};
+use super::Expert;
 use crate::config::EnvironmentConfig;
 
 /// An [`Expert`] for each world, recreated when the blueprint changes. It idles if there is no assembly order.
@@ -21,18 +21,12 @@ struct Row {
     blueprint: Blueprint,
     /// `None` if there is no assembly order.
     expert: Option<Expert>,
-    activity: Option<Activity>,
 }
 
 impl ExpertAgent {
     /// Creates an agent for worlds of this configuration.
     pub fn new(config: &EnvironmentConfig) -> Self {
         Self { config: config.clone(), rows: Vec::new() }
-    }
-
-    /// Returns the activity of the last decision for a row; `None` if the blueprint has no assembly order.
-    pub fn activity(&self, row: usize) -> Option<Activity> {
-        self.rows.get(row)?.as_ref()?.activity
     }
 }
 
@@ -51,12 +45,9 @@ impl Agent for ExpertAgent {
             let row = row.get_or_insert_with(|| Row {
                 blueprint: seen.blueprint.clone(),
                 expert: Expert::new(&self.config, seen.blueprint).ok(),
-                activity: None,
             });
-            let decided = row.expert.as_mut().map(|expert| expert.decide(seen.scene));
-            let (action, activity) = decided.unzip();
-            row.activity = activity;
-            Decision { action: action.unwrap_or(Action::IDLE), proposals: [None; 2], log_prob: 0.0, value: 0.0 }
+            let action = row.expert.as_mut().map_or(Action::IDLE, |expert| expert.act(seen.scene));
+            Decision { action, proposals: [None; 2], log_prob: 0.0, value: 0.0 }
         };
         Ok(self.rows.iter_mut().zip(observations).map(decide).collect())
     }

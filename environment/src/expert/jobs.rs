@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::motion::{Limits, Load, Twist, gap};
 use super::view::View;
-use super::{Activity, Base, Command, Expert};
+use super::{Base, Command, Expert};
 use crate::world::CONTROL_DT_S;
 
 /// Maximum distance from the approach path's axis for a piece to come in all the way, m. A piece farther aside holds
@@ -64,20 +64,20 @@ struct Job {
 
 impl Expert {
     /// Adds the next pieces to the base.
-    pub(super) fn add(&mut self, view: &View, base: &Base) -> (Activity, Vec<Command>) {
+    pub(super) fn add(&mut self, view: &View, base: &Base) -> Vec<Command> {
         // If all parts are placed, only a connection between two of them is missing, and the magnets close it.
-        let Some(first) = self.assembly.next(base.side, base.parts) else { return (Activity::Adding, vec![]) };
+        let Some(first) = self.assembly.next(base.side, base.parts) else { return vec![] };
         let Some(job) = self.job(view, base, base.parts, view.piece(first)) else {
-            return (Activity::TakingDown, self.split_off(view, first));
+            return self.split_off(view, first);
         };
         if let Some(stray) = self.in_the_way(view, base, &job) {
-            return (Activity::Clearing, vec![self.fling(view, base, stray)]);
+            return vec![self.fling(view, base, stray)];
         }
         let mut commands = vec![self.bring(view, &job)];
         if self.n_grippers > 1 {
             commands.extend(self.second(view, base, &job));
         }
-        (Activity::Adding, commands)
+        commands
     }
 
     /// Returns what the other gripper does while `first` is brought in.

@@ -9,7 +9,7 @@ use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig, Polic
 use proto::{ActionMode, Normalization, Valid, WeightsVersion};
 
 use super::*;
-use crate::config::{EpisodeConfig, ResetFreeConfig};
+use crate::config::Starts;
 use crate::setup::N_WORLDS;
 use crate::videos::EpisodeSelector;
 
@@ -79,7 +79,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let mut parts = Vec::new();
     let observer = None::<&EpisodeSelector>;
     let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
-    let whole = evaluate_in_parts(&pool, &weights(), &blueprints, &mut |part| parts.push(part)).unwrap();
+    let whole = evaluate_in_parts(&pool, Learned::of(&weights()), &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.greedy.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
@@ -119,7 +119,9 @@ fn what_an_interrupted_evaluation_found_is_reported() {
             n_ended.fetch_add(1, Ordering::Relaxed);
         },
     };
-    let report = evaluate_followed(&setup, &small_policy(), &weights(), &blueprints(1), &follower, None).unwrap();
+    let (policy, weights) = (small_policy(), weights());
+    let performer = Performer::Policy(&policy, &weights);
+    let report = evaluate_followed(&setup, performer, &blueprints(1), &follower, None).unwrap();
     let summary = &report.summary;
     assert_eq!((summary.is_complete, summary.n_planned, summary.all.greedy.success.n_episodes), (false, 3, 2));
 }
@@ -169,4 +171,44 @@ fn reset_free_runs_count_every_goal() {
     let setup = EvalSetup { catalog: &small, ..setup };
     let result = evaluate(&setup, &small_policy(), &weights(), &blueprints(1), &|| true);
     assert_eq!(result.unwrap_err().to_string(), "no training blueprint has 12 blocks or more for the reset-free runs");
+}
+
+fn of_expert(setup: &EvalSetup<'_>, blueprints: &[&Blueprint]) -> EvalReport {
+    evaluate_followed(setup, Performer::Expert, blueprints, &Follower::default(), None).unwrap()
+}
+
+/// A setup with episodes of full length, for the expert.
+fn expert_setup() -> EvalSetup<'static> {
+    let episodes = EpisodeConfig { n_episodes: 5, starts: Starts::Mixed, n_threads: 2, ..Default::default() };
+    EvalSetup { environment: Valid::default(), ..small_setup(episodes) }
+}
+
+#[test]
+fn the_expert_builds_a_sample_of_the_catalog() {
+    // Every seventh blueprint, so that all sizes and splits are included. On the whole catalog the rate is 99 %.
+    let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(7).collect();
+    let report = of_expert(&expert_setup(), &sample);
+    let all = report.summary.all;
+    assert_eq!((all.n_blueprints, all.greedy.success.n_episodes), (sample.len() as u64, 5 * sample.len() as u64));
+    assert_eq!(all.sampled.success.n_episodes, 0, "the expert acts in one way");
+    assert!(all.greedy.success.rate >= 0.9, "{:?}", report.blueprints);
+    assert!(report.blueprints.iter().all(|goal| goal.greedy.success.n_successes > 0), "{:?}", report.blueprints);
+}
+
+#[test]
+fn a_report_of_the_expert_does_not_depend_on_the_threads() {
+    let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(40).collect();
+    let report = |n_threads, n_worlds| {
+        let episodes = EpisodeConfig { n_threads, ..expert_setup().episodes };
+        of_expert(&EvalSetup { episodes, n_worlds, ..expert_setup() }, &sample)
+    };
+    assert_eq!(report(1, 1), report(3, 2));
+}
+
+#[test]
+fn the_expert_builds_goals_in_a_row_where_the_last_one_ended() {
+    let setup = EvalSetup { reset_free: Some(ResetFreeConfig { n_runs: 2, n_goals: 3 }), ..expert_setup() };
+    let found = of_expert(&setup, &blueprints(1)).summary.reset_free.unwrap();
+    assert_eq!((found.n_runs, found.n_goals, found.greedy.outcome.success.n_episodes), (2, 3, 6));
+    assert!(found.greedy.outcome.success.n_successes >= 4, "{found:?}");
 }
