@@ -21,7 +21,10 @@ from urllib.parse import unquote
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = {
-    "Use": ["README.md", "docs/usage.md", "docs/dashboard.md", "docs/metrics.md", "docs/blueprints.md", "python/README.md"],
+    "Use": [
+        *("README.md", "docs/usage.md", "docs/settings.md", "docs/dashboard.md", "docs/metrics.md", "docs/blueprints.md"),
+        "python/README.md",
+    ],
     "Several machines": ["docs/compose.md", "docs/slurm.md", "docs/kubernetes.md", "docs/security.md"],
     "Results": [
         *("docs/results.md", "deploy/pretrained/README.md", "docs/performance.md", "docs/scaling.md", "docs/soak.md"),

@@ -530,8 +530,8 @@ fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
     for element in named {
         assert_ne!(element.label(), "");
     }
-    for width in [390, 768, 1280] {
-        let metrics = json!({ "width": width, "height": 844, "deviceScaleFactor": 2, "mobile": width < 500 });
+    for (width, height) in [(390, 844), (768, 844), (1280, 844), (1920, 1080)] {
+        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 2, "mobile": width < 500 });
         browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
         // Charts take their new width a frame later.
         browser.until("document.documentElement.scrollWidth === document.documentElement.clientWidth");
