@@ -222,7 +222,7 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     let mut metrics = bus.metrics_subscriber("actor/toy").await.unwrap();
     publisher.publish(Arc::new(toy::weights(0, 1.0))).await.unwrap();
     assert_eq!(within(actor).await.unwrap().unwrap_err().to_string(), expected);
-    assert_eq!(server.counts().accepted_total, n_accepted);
+    // What is still under way when its token disappears may find the name free, so what is accepted has no bound here.
     assert!(server.counts().name_taken_total > 1);
     // It has reported how many segments were not accepted.
     loop {
