@@ -160,7 +160,7 @@ impl Recording {
             Failure::Input(format!("{}: {reason}", files.join(", ")))
         };
         let goal = goals.find(&self.segments[0].task.blueprint).map_err(refused)?;
-        let episode = Episode::new(&self.segments, &goal).map_err(|error| refused(error.to_string()))?;
+        let episode = Episode::new(&self.segments, goal).map_err(|error| refused(error.to_string()))?;
         Ok((self.name, episode))
     }
 }
