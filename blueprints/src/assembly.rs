@@ -101,7 +101,7 @@ impl Assembly {
     }
 
     /// Returns whether the placements can be built on some side. Does not rank the sides, so it is several times as
-    /// fast as [`of_placements`](Self::of_placements).
+    /// fast as finding the orders.
     pub fn is_possible(placements: &[Placement]) -> bool {
         let geometry = Geometry::new(placements);
         UPS.into_iter().any(|up| Side::new(up).is_safe(&geometry, Parts::default()))
