@@ -26,8 +26,8 @@ pub(super) fn check(report: &mut Report) -> Result<(), Failure> {
             let (n_built, n_tries) = try_building(&environment, blueprint).map_err(anyhow::Error::from)?;
             let expert = outcome(n_built > 0, || {
                 format!(
-                    "the expert built it in none of {n_tries} episodes of {} steps; `eval --expert --blueprint FILE --explain \
-                     DIR` says why",
+                    "the expert built it in none of {n_tries} episodes of {} steps; `eval --expert --blueprint FILE \
+                     --endings` says how",
                     environment.episode_steps,
                 )
             });
