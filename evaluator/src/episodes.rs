@@ -4,7 +4,7 @@ use blueprints::Blueprint;
 use environment::ExpertAgent;
 use policy::{Policy, PolicyConfig};
 use proto::metrics::{EvalReport, EvalResetFree};
-use proto::{ActionMode, Agent, Valid, Weights, WeightsVersion};
+use proto::{ActionMode, Agent, Valid, Weights};
 
 use crate::config::{EpisodeConfig, ResetFreeConfig};
 use crate::endings::Endings;
@@ -18,19 +18,6 @@ use crate::setup::{EvalError, EvalSetup};
 
 /// Number of episodes per action mode after which an evaluation first reports intermediate results.
 pub const FIRST_PART: usize = 32;
-
-/// The weights that an agent acts with; of the expert, which has none, zeros.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Learned {
-    version: WeightsVersion,
-    n_env_steps: u64,
-}
-
-impl Learned {
-    pub(crate) fn of(weights: &Weights) -> Self {
-        Self { version: weights.version, n_env_steps: weights.n_env_steps }
-    }
-}
 
 /// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` per blueprint in each action
 /// mode, followed by the reset-free runs if the setup has any.
@@ -73,11 +60,11 @@ pub fn evaluate_followed(
             let episodes = EpisodeConfig { acting: vec![ActionMode::Greedy], ..setup.episodes.clone() };
             let setup = EvalSetup { episodes, ..setup.clone() };
             let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-            evaluate_agent(&setup, &agent, Learned::default(), blueprints, follower, endings)
+            evaluate_agent(&setup, &agent, None, blueprints, follower, endings)
         }
         Performer::Policy(policy, weights) => {
             let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
-            evaluate_agent(setup, &agent, Learned::of(weights), blueprints, follower, endings)
+            evaluate_agent(setup, &agent, Some(weights), blueprints, follower, endings)
         }
     }
 }
@@ -85,7 +72,7 @@ pub fn evaluate_followed(
 fn evaluate_agent<A: Agent>(
     setup: &EvalSetup<'_>,
     agent: &(dyn Fn() -> Result<A, EvalError> + Sync),
-    learned: Learned,
+    weights: Option<&Weights>,
     blueprints: &[&Blueprint],
     follower: &Follower<'_>,
     endings: Option<&Endings>,
@@ -97,22 +84,22 @@ where
     let keep_going = follower.keep_going;
     let pool = EvaluationPool { setup, agent, observer: Some(&observer), progress: None, keep_going };
     let mut last_part = None;
-    match evaluate_in_parts(&pool, learned, blueprints, &mut |part| last_part = Some(part)) {
+    match evaluate_in_parts(&pool, weights, blueprints, &mut |part| last_part = Some(part)) {
         Err(EvalError::Interrupted) => last_part.ok_or(EvalError::Interrupted),
         ended => ended,
     }
 }
 
-/// Like [`evaluate`] with the agents of the pool, which act with what was `learned`. Reports intermediate results to `on_part`:
-/// of the first [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all blueprints, so
-/// its groups are fair samples of the whole. If the pool is interrupted, the last part covers all episodes that have
-/// ended.
+/// Like [`evaluate`] with the agents of the pool, which act with `weights`, if they have any. Reports intermediate results
+/// to `on_part`: of the first [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all
+/// blueprints, so its groups are fair samples of the whole. If the pool is interrupted, the last part covers all
+/// episodes that have ended.
 ///
 /// # Errors
 /// As for [`evaluate`].
 pub(crate) fn evaluate_in_parts<A: Agent, O: EpisodeObserver<A>>(
     pool: &EvaluationPool<'_, A, O>,
-    learned: Learned,
+    weights: Option<&Weights>,
     blueprints: &[&Blueprint],
     on_part: &mut dyn FnMut(EvalReport),
 ) -> Result<EvalReport, EvalError>
@@ -129,7 +116,8 @@ where
         .flat_map(|episode_idx| spread.iter().map(move |&blueprint| sequence(blueprint, episode_idx)))
         .collect();
     let report = |episodes: &[EpisodeResult], is_complete| {
-        let mut report = summarize(learned.version, learned.n_env_steps, episodes);
+        let (version, n_env_steps) = weights.map_or_else(Default::default, |w| (w.version, w.n_env_steps));
+        let mut report = summarize(version, n_env_steps, episodes);
         report.summary.seed = setup.seed;
         report.summary.n_planned = sequences.len() as u64;
         report.summary.is_complete = is_complete;

@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::best::{Scored, Verdict};
 use crate::config::{EpisodeConfig, EvaluatorConfigError, Selection};
-use crate::episodes::{Learned, evaluate_in_parts};
+use crate::episodes::evaluate_in_parts;
 use crate::nice::on_thread;
 use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::records::Records;
@@ -421,7 +421,7 @@ async fn evaluate_once(
         let progress = Some(&counted);
         let pool = EvaluationPool { setup, agent: &agent, observer, progress, keep_going: &keep_going };
         let selected: Vec<&Blueprint> = selected.iter().collect();
-        evaluate_in_parts(&pool, Learned::of(&weights), &selected, &mut |part| drop(parts.send_replace(Some(part))))
+        evaluate_in_parts(&pool, Some(&weights), &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await
 }

@@ -218,6 +218,7 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
             Err(error) => break assert!(matches!(error, SendError::Refused(Refusal::NameTaken)), "{error}"),
         }
     }
+    assert_eq!(server.counts().accepted_total, n_accepted);
     let publisher = bus.weights_publisher().await.unwrap();
     let mut metrics = bus.metrics_subscriber("actor/toy").await.unwrap();
     publisher.publish(Arc::new(toy::weights(0, 1.0))).await.unwrap();

@@ -79,7 +79,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let mut parts = Vec::new();
     let observer = None::<&EpisodeSelector>;
     let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
-    let whole = evaluate_in_parts(&pool, Learned::of(&weights()), &blueprints, &mut |part| parts.push(part)).unwrap();
+    let whole = evaluate_in_parts(&pool, Some(&weights()), &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.greedy.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));

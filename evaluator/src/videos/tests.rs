@@ -16,8 +16,8 @@ use super::queue::{ClipQueue, ROOM};
 use super::recorder::Reel;
 use super::selector::EpisodeSelector;
 use crate::config::{EpisodeConfig, VideosConfig};
+use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{agent, small_setup, weights};
-use crate::episodes::{Learned, evaluate_in_parts};
 use crate::pool::EvaluationPool;
 use crate::recording::Recording;
 use crate::report::End;
@@ -47,7 +47,7 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
     let evaluate = |observer: Option<&EpisodeSelector>| {
         let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
-        evaluate_in_parts(&pool, Learned::of(&weights), &goals, &mut |_| {}).unwrap()
+        evaluate_in_parts(&pool, Some(&weights), &goals, &mut |_| {}).unwrap()
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));
     let written = recorder.queue.wait_until(|counts| counts.written_total + counts.failed_total > 0);
