@@ -81,7 +81,7 @@ pub(crate) struct EpisodeRecord {
     draws: BTreeMap<String, u64>,
 }
 
-impl<A> EpisodeObserver<A> for Option<&Endings> {
+impl EpisodeObserver for Option<&Endings> {
     type Record = EpisodeRecord;
 
     fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<EpisodeRecord> {
@@ -92,7 +92,7 @@ impl<A> EpisodeObserver<A> for Option<&Endings> {
         })
     }
 
-    fn observe(&self, record: &mut EpisodeRecord, step: Step, _: &A, _: usize, after: Observation<'_>) {
+    fn observe(&self, record: &mut EpisodeRecord, step: Step, after: Observation<'_>) {
         record.note(&step, after);
     }
 

@@ -97,7 +97,7 @@ where
 ///
 /// # Errors
 /// As for [`evaluate`].
-pub(crate) fn evaluate_in_parts<A: Agent, O: EpisodeObserver<A>>(
+pub(crate) fn evaluate_in_parts<A: Agent, O: EpisodeObserver>(
     pool: &EvaluationPool<'_, A, O>,
     weights: Option<&Weights>,
     blueprints: &[&Blueprint],

@@ -1,7 +1,7 @@
 //! Callbacks that follow an evaluation and can interrupt it.
 
 use environment::Step;
-use proto::{ActionMode, Agent, Observation, Scene};
+use proto::{ActionMode, Observation, Scene};
 
 use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
@@ -21,14 +21,14 @@ impl Default for Follower<'_> {
     }
 }
 
-impl<A: Agent> EpisodeObserver<A> for Follower<'_> {
+impl EpisodeObserver for Follower<'_> {
     type Record = ();
 
     fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<()> {
         Some(())
     }
 
-    fn observe(&self, (): &mut (), _: Step, _: &A, _: usize, _: Observation<'_>) {}
+    fn observe(&self, (): &mut (), _: Step, _: Observation<'_>) {}
 
     fn end(&self, (): (), _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
         (self.on_episode)(result);
@@ -38,7 +38,7 @@ impl<A: Agent> EpisodeObserver<A> for Follower<'_> {
 /// Forwards episodes to two observers.
 pub(crate) struct Both<'a, X, Y>(pub(crate) &'a X, pub(crate) &'a Y);
 
-impl<A: Agent, X: EpisodeObserver<A>, Y: EpisodeObserver<A>> EpisodeObserver<A> for Both<'_, X, Y> {
+impl<X: EpisodeObserver, Y: EpisodeObserver> EpisodeObserver for Both<'_, X, Y> {
     type Record = (Option<X::Record>, Option<Y::Record>);
 
     fn begin(
@@ -51,12 +51,12 @@ impl<A: Agent, X: EpisodeObserver<A>, Y: EpisodeObserver<A>> EpisodeObserver<A> 
         Some((self.0.begin(place, spec, acting, start), self.1.begin(place, spec, acting, start)))
     }
 
-    fn observe(&self, (x, y): &mut Self::Record, step: Step, agent: &A, row: usize, after: Observation<'_>) {
+    fn observe(&self, (x, y): &mut Self::Record, step: Step, after: Observation<'_>) {
         if let Some(x) = x {
-            self.0.observe(x, step.clone(), agent, row, after);
+            self.0.observe(x, step.clone(), after);
         }
         if let Some(y) = y {
-            self.1.observe(y, step, agent, row, after);
+            self.1.observe(y, step, after);
         }
     }
 

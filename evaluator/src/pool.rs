@@ -29,7 +29,7 @@ pub(crate) struct EvaluationPool<'a, A, O> {
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl<A: Agent, O: EpisodeObserver<A>> EvaluationPool<'_, A, O>
+impl<A: Agent, O: EpisodeObserver> EvaluationPool<'_, A, O>
 where
     EvalError: From<A::Error>,
 {

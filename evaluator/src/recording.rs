@@ -96,14 +96,14 @@ pub(crate) struct Recorder<'r> {
     pub(crate) keep: &'r (dyn Fn(usize, Option<Trajectory>, &EpisodeResult) + Sync),
 }
 
-impl<A> EpisodeObserver<A> for Recorder<'_> {
+impl EpisodeObserver for Recorder<'_> {
     type Record = (usize, Recording);
 
     fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Self::Record> {
         Some((place.sequence_idx, Recording::default()))
     }
 
-    fn observe(&self, (_, recording): &mut Self::Record, step: Step, _: &A, _: usize, _: Observation<'_>) {
+    fn observe(&self, (_, recording): &mut Self::Record, step: Step, _: Observation<'_>) {
         recording.push(step);
     }
 

@@ -20,7 +20,7 @@ use crate::setup::EvalError;
 ///
 /// # Errors
 /// If the agent fails, no blueprint is large enough, or the pool is interrupted.
-pub(crate) fn evaluate<A: Agent, O: EpisodeObserver<A>>(
+pub(crate) fn evaluate<A: Agent, O: EpisodeObserver>(
     pool: &EvaluationPool<'_, A, O>,
     config: &ResetFreeConfig,
     modes: &[ActionMode],

@@ -84,8 +84,8 @@ impl EpisodeSpec {
     }
 }
 
-/// Observes episodes in which an agent of type `A` acts.
-pub(crate) trait EpisodeObserver<A>: Sync {
+/// Observes episodes.
+pub(crate) trait EpisodeObserver: Sync {
     /// Data kept for an episode while it runs.
     type Record;
 
@@ -98,8 +98,8 @@ pub(crate) trait EpisodeObserver<A>: Sync {
         start: Observation<'_>,
     ) -> Option<Self::Record>;
 
-    /// A step of the agent's batch row `row` led to `after`.
-    fn observe(&self, record: &mut Self::Record, step: Step, agent: &A, row: usize, after: Observation<'_>);
+    /// A step led to `after`.
+    fn observe(&self, record: &mut Self::Record, step: Step, after: Observation<'_>);
 
     /// The episode has ended in the scene `last`.
     fn end(&self, record: Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult);
@@ -107,7 +107,7 @@ pub(crate) trait EpisodeObserver<A>: Sync {
 
 /// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
 /// starts the next sequence. Each sequence's results go to `done` with its index.
-pub(crate) fn run_sequences<'s, E: Env + Clone, A: Agent, O: EpisodeObserver<A>>(
+pub(crate) fn run_sequences<'s, E: Env + Clone, A: Agent, O: EpisodeObserver>(
     rules: &Rules<'_, O>,
     agent: &mut A,
     mut worlds: Vec<E>,
@@ -152,7 +152,7 @@ where
 }
 
 /// Worlds, the agent that acts in them, and their episodes.
-struct EnvironmentLoop<'a, E, A, O: EpisodeObserver<A>> {
+struct EnvironmentLoop<'a, E, A, O: EpisodeObserver> {
     rules: &'a Rules<'a, O>,
     agent: &'a mut A,
     envs: VecEnv<E>,
@@ -185,7 +185,7 @@ impl<'s, R> EnvSlot<'s, R> {
     }
 }
 
-impl<E: Env + Clone, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, O> {
+impl<E: Env + Clone, A: Agent, O: EpisodeObserver> EnvironmentLoop<'_, E, A, O> {
     /// Starts the next episode of a world's sequence.
     fn start(&mut self, row: usize) -> Result<(), EvalError> {
         let slot = &mut self.slots[row];
@@ -223,7 +223,7 @@ impl<E: Env + Clone, A: Agent, O: EpisodeObserver<A>> EnvironmentLoop<'_, E, A, 
         slot.n_steps += 1;
         slot.episode_return = slot.episode_return + reward;
         if let (Some(observer), Some(record)) = (rules.observer, &mut slot.record) {
-            observer.observe(record, step, self.agent, row, self.envs.env(row).observation());
+            observer.observe(record, step, self.envs.env(row).observation());
         }
         if status == Status::Running {
             return None;

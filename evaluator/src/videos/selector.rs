@@ -55,7 +55,7 @@ impl EpisodeSelector {
     }
 }
 
-impl<A> EpisodeObserver<A> for EpisodeSelector {
+impl EpisodeObserver for EpisodeSelector {
     type Record = Recording;
 
     fn begin(&self, _: Place, spec: &EpisodeSpec, acting: ActionMode, _: Observation<'_>) -> Option<Recording> {
@@ -75,7 +75,7 @@ impl<A> EpisodeObserver<A> for EpisodeSelector {
         Some(Recording::default())
     }
 
-    fn observe(&self, recording: &mut Recording, step: Step, _: &A, _: usize, _: Observation<'_>) {
+    fn observe(&self, recording: &mut Recording, step: Step, _: Observation<'_>) {
         recording.push(step);
     }
 

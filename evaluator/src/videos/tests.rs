@@ -19,7 +19,6 @@ use crate::config::{EpisodeConfig, VideosConfig};
 use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{agent, small_setup, weights};
 use crate::pool::EvaluationPool;
-use crate::recording::Recording;
 use crate::report::End;
 use crate::sequences::tests::scene;
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
@@ -67,7 +66,6 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
 
 /// Plays an episode of one step with this end; returns whether it was recorded.
 fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
-    let selector: &dyn EpisodeObserver<(), Record = Recording> = selector;
     let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
     let scene = scene();
     let seen = Observation { scene: &scene, blueprint: blueprint() };
@@ -75,7 +73,7 @@ fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
     let Some(mut recording) = selector.begin(place, &spec, acting, seen) else { return false };
     let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
     let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
-    selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, &(), 0, seen);
+    selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, seen);
     selector.end(recording, &spec, &scene, &spec.result(acting, end, 1, RewardTerms::default(), false));
     true
 }
