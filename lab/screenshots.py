@@ -1,98 +1,112 @@
 #!/usr/bin/env python3
-"""Makes the pictures of the web page in docs/ again: page.png and draw.png.
+"""Makes the pictures of the web page in docs/ again, page.png and draw.png, or looks at all main states of the page.
 
     python3 lab/screenshots.py --binary target/release/lodestone [--driver /usr/bin/chromedriver]
+    python3 lab/screenshots.py --binary target/release/lodestone --states target/pictures
 
-It needs a chromedriver next to its Chromium. A program that already runs is looked at with `--address` instead.
+It needs a chromedriver next to its Chromium. A program that already runs is looked at with `--address` instead. With
+`--states`, it trains for some minutes, keeps pictures of each state in the folder, and fails if anything is wrong with
+one; it needs the axe-core that `.ci/run page` installs.
 """
 
 from __future__ import annotations
 
 import argparse
-import base64
 import contextlib
-import json
 import subprocess
-import urllib.request
-from collections.abc import Iterator
+import sys
+import tempfile
 from pathlib import Path
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-OPTIONS = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--force-prefers-reduced-motion"]
-# Both wait for what they show; the picture is of a moment at which nothing moves.
-MODULE = "const { editor, replay } = await import(new URL('app.js', document.baseURI).href);"
-WAIT = "const until = async (holds) => { while (!holds()) await new Promise((go) => setTimeout(go, 50)); };"
-PAGE = "await until(() => replay.episode && replay.time === 40);"
-# A tile of the gatehouse, turned around, repels the bar beside it.
-DRAW = """
-    await until(() => document.querySelector('#draw-palette button'));
-    editor.load(await (await fetch('/api/blueprint?id=12_000')).text());
-    const says = (part, words) => until(() => document.querySelector(part).textContent.includes(words));
-    await says('#draw-say', 'It can be built.');
-    editor.pick(9);
-    editor.act('turn');
-    editor.act('turn');
-    await says('#draw-problems', 'like poles meet');
-    document.querySelector('#draw').scrollIntoView();
-"""
+import pages
+from pages import Album, Browser, Program
+
+ROOT = Path(__file__).resolve().parents[1]
+AXE = ROOT / "target/page/node_modules/axe-core/axe.min.js"
+# Each is of a moment at which nothing moves.
+DOCS = [
+    ("page.png", "?blueprint=14_003&step=40", (1280, 960), "await shows(40);"),
+    ("draw.png", "?blueprint=2_000&step=0&draw=open", (1280, 880), pages.DRAW),
+]
+SMALL = ["--preset", "quickstart", "--set", "evaluator.every.steps=4000", "--set", "evaluator.episodes.n_episodes=2"]
+TOKEN = "only-for-pictures"
 
 
-@contextlib.contextmanager
-def started(command: list[str], before: str, after: str) -> Iterator[str]:
-    """Runs a program, and yields what it prints between two texts."""
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        line = next(line for line in process.stdout if before in line)
-        yield line.split(before, 1)[1].split(after)[0].strip()
-    finally:
-        process.terminate()
-        process.wait()
+def served(command: list[str], cwd: Path | None = None) -> Program:
+    """Starts a program that prints the address of its page."""
+    return Program(command, "page at ", "\n", cwd)
 
 
-class Browser:
-    def __init__(self, port: str) -> None:
-        self.base = f"http://127.0.0.1:{port}/session"
-        wanted = {"goog:chromeOptions": {"args": OPTIONS}}
-        self.base += "/" + self.ask("", {"capabilities": {"alwaysMatch": wanted}})["sessionId"]
-
-    def ask(self, path: str, body: dict | None = None) -> object:
-        data = None if body is None else json.dumps(body).encode()
-        with urllib.request.urlopen(urllib.request.Request(self.base + path, data)) as answer:
-            return json.load(answer)["value"]
-
-    def picture(self, address: str, size: tuple[int, int], script: str) -> bytes:
-        metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
-        self.ask("/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride", "params": metrics})
-        self.ask("/timeouts", {"script": 120_000})
-        self.ask("/url", {"url": address})
-        body = f"return (async () => {{ {MODULE} {WAIT} {script} }})()"
-        self.ask("/execute/sync", {"script": body, "args": []})
-        return base64.b64decode(self.ask("/screenshot"))
+def take(browser: Browser, address: str) -> None:
+    for name, query, size, script in DOCS:
+        browser.size(*size)
+        browser.open(f"{address}/{query}")
+        browser.on_page(script)
+        (ROOT / "docs" / name).write_bytes(browser.picture(is_whole=False))
+        print(ROOT / "docs" / name)
 
 
-def take(address: str, port: str) -> None:
-    browser = Browser(port)
-    shown = [
-        ("page.png", "?blueprint=14_003&step=40", (1280, 960), PAGE),
-        ("draw.png", "?blueprint=2_000&step=0&draw=open", (1280, 880), DRAW),
-    ]
-    for name, query, size, script in shown:
-        (DOCS / name).write_bytes(browser.picture(f"{address}/{query}", size, script))
-        print(DOCS / name)
-    urllib.request.urlopen(urllib.request.Request(browser.base, method="DELETE")).close()
+def look_at_play(album: Album, binary: str, scratch: Path) -> None:
+    downloads = scratch / "downloads"
+    album.browser.devtools("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(downloads))
+    album.browser.devtools("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    with served([binary, "play", "--no-open"], scratch) as play:
+        album.show(pages.being_built, play.said, downloads)
+        for state in pages.OF_PLAY:
+            album.show(state, play.said)
+        album.show(pages.server_gone, play.said, play, is_answered=False)
 
 
-def main() -> None:
+def look_at_training(album: Album, binary: str, scratch: Path) -> None:
+    train = [binary, "train", *SMALL, "--steps", "1e6", "--seed", "1", "--run-dir", "live", "--web", "127.0.0.1:0"]
+    with served(train, scratch) as run:
+        album.show(pages.training, run.said)
+        album.show(pages.training_ended, run)
+
+
+def look_at_runs(album: Album, binary: str, scratch: Path) -> None:
+    grid = ["--steps", "12e3", "--seeds", "2", "--grid", "learner.gamma=0.9,0.97", "--out", "sweep"]
+    subprocess.run([binary, "sweep", *SMALL, *grid], cwd=scratch, check=True, stdout=subprocess.DEVNULL)
+    first, second = "sweep/point-1/seed-1", "sweep/point-2/seed-1"
+    with served([binary, "serve", first], scratch) as one:
+        album.show(pages.finished, one.said)
+        album.show(pages.watch_it_learn, one.said)
+    with served([binary, "serve", first, second], scratch) as two:
+        album.show(pages.beside_each_other, two.said)
+    with served([binary, "serve", "sweep"], scratch) as all_runs:
+        album.show(pages.sweep, all_runs.said)
+    with served([binary, "serve", first, "--token", TOKEN], scratch) as closed:
+        album.show(pages.token_refused, closed.said, is_answered=False)
+
+
+def look(browser: Browser, binary: str, folder: Path) -> int:
+    """Keeps pictures of all states in the folder. Returns 1, with what is wrong, if anything is."""
+    folder.mkdir(parents=True, exist_ok=True)
+    album = Album(browser, folder, AXE.read_text())
+    with tempfile.TemporaryDirectory() as scratch:
+        for part in (look_at_play, look_at_training, look_at_runs):
+            part(album, str(Path(binary).resolve()), Path(scratch))
+    print(f"{album.n_states} states, pictures in {folder}; {len(album.faults)} faults", *album.faults, sep="\n  ")
+    return 1 if album.faults else 0
+
+
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--binary", default="target/release/lodestone")
     parser.add_argument("--driver", default="chromedriver")
     parser.add_argument("--address", help="of a page that is served already")
+    parser.add_argument("--states", type=Path, metavar="DIR", help="look at all main states, with pictures in this folder")
     arguments = parser.parse_args()
-    play = [arguments.binary, "play", "--no-open", "--web", "127.0.0.1:0"]
-    served = contextlib.nullcontext(arguments.address) if arguments.address else started(play, "page at ", "\n")
-    with served as address, started([arguments.driver, "--port=0"], "successfully on port ", ".") as port:
-        take(address, port)
+    with Program([arguments.driver, "--port=0"], "successfully on port ", ".") as driver, Browser(driver.said) as browser:
+        if arguments.states:
+            return look(browser, arguments.binary, arguments.states)
+        if arguments.address:
+            take(browser, arguments.address)
+            return 0
+        with served([arguments.binary, "play", "--no-open"]) as play:
+            take(browser, play.said)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

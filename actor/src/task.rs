@@ -18,6 +18,8 @@ settings! {
         pub filter: TaskFilter = TaskFilter::All;
         /// Probability that another training blueprint is built at the start (paper, "Initial State").
         pub prebuilt_probability: f64 = 0.2, in 0.0..=1.0;
+        /// The blueprints that may be built at the start.
+        pub prebuilt_filter: TaskFilter = TaskFilter::All;
     }
 }
 
@@ -64,7 +66,7 @@ pub struct TaskSampler {
     config: TaskConfig,
     /// Goals in catalog order with their probability. Probabilities need not sum to 1.
     goals: Vec<(BlueprintId, f64)>,
-    /// Blueprints that may be built at the start: the whole training split, regardless of the filter.
+    /// Blueprints that may be built at the start, whatever the goals are.
     prebuilt: Vec<BlueprintId>,
 }
 
@@ -106,11 +108,11 @@ impl TaskSampler {
     /// Creates a sampler that is uniform over the goals until it receives probabilities.
     ///
     /// # Errors
-    /// If the filter selects nothing or an unknown blueprint.
+    /// If a filter selects nothing or an unknown blueprint.
     pub fn new(config: &TaskConfig, catalog: &Catalog) -> Result<Self, FilterError> {
         let ids = config.filter.select(catalog)?;
         let goals = ids.into_iter().map(|id| (id, 1.0));
-        let prebuilt = catalog.of_split(Split::Train).iter().map(|blueprint| blueprint.id().clone()).collect();
+        let prebuilt = config.prebuilt_filter.select(catalog)?;
         Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
     }
 

@@ -355,7 +355,18 @@ fn what_is_drawn_is_checked_and_built() {
     // At the end, the picture turns it upright, as it was drawn.
     let heights = "replay.episode.goal.map(([block, pose]) => replay.main.space.blocks[block].position.z - pose[2])";
     browser.until(&format!("replay.after > 13 && {heights}.every((z, _, all) => Math.abs(z - all[0]) < 0.02)"));
+    // The server makes its video, and its address shows it again, also where nobody has drawn it.
+    browser.run("URL.createObjectURL = (content) => { window.content = content; return '#saved'; }");
+    browser.element("#stage-video").click();
+    browser.until("window.content?.type === 'video/mp4'");
+    let link = browser.run("return location.href").as_str().unwrap().to_owned();
+    browser.open("about:blank");
+    browser.open(&link);
+    browser.until("replay.episode?.blueprint.startsWith('drawn_2_')");
+    assert!(browser.text("#replay-note").starts_with("The expert builds my tower"), "{link}");
     assert_eq!(errors(&browser), Vec::<Value>::new());
+    browser.open(&link.replace("2x1x1,", "2x9x1,"));
+    browser.until("document.querySelector('#replay-note').textContent.startsWith('This drawing cannot be built: ')");
 }
 
 #[test]

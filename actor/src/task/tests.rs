@@ -64,12 +64,17 @@ fn probabilities_are_restricted_to_the_goals() {
 
 #[test]
 fn starts_come_in_the_configured_mix() {
-    let config = TaskConfig { filter: TaskFilter::Blueprints(vec![id("3_000")]), prebuilt_probability: 0.25 };
+    let config = TaskConfig {
+        filter: TaskFilter::Blueprints(vec![id("3_000")]),
+        prebuilt_probability: 0.25,
+        prebuilt_filter: TaskFilter::Sizes { min: 3, max: 3 },
+    };
     let mut n_prebuilt = 0;
     for task in draw(&sampler(&config), 4000) {
         match task.start {
             Start::Prebuilt(other) => {
                 assert_ne!(other, task.blueprint);
+                assert!(other.as_str().starts_with("3_"), "{other} has not three blocks");
                 n_prebuilt += 1;
             }
             Start::Scattered => {}

@@ -29,6 +29,8 @@ pub(super) struct AttentionView {
     /// Attention on each of the 16 blocks in percent, by source and scene: that of a gripper, or the mean over the
     /// goal's blocks.
     percent: Vec<Vec<Vec<u8>>>,
+    /// The block that each block attends to most and the percent, by source and scene; empty for a gripper.
+    most: Vec<Vec<Vec<(usize, u8)>>>,
 }
 
 impl Observer {
@@ -51,10 +53,15 @@ impl Observer {
         let percent = |share: f32| (share * 100.0).round().clamp(0.0, 100.0) as u8;
         let of_source =
             |source| (0..attention.n_scenes()).map(|n| attention.received(source, n).map(percent).to_vec()).collect();
+        let most = |source| {
+            let all = (0..attention.n_scenes()).filter_map(|n| attention.most(source, n));
+            all.map(|of| of.map(|(block, share)| (block.get(), percent(share))).to_vec()).collect()
+        };
         let sources: Vec<_> = attention.sources().collect();
         Some(AttentionView {
             weights_version: weights.version.0,
             percent: sources.iter().map(|&source| of_source(source)).collect(),
+            most: sources.iter().map(|&source| most(source)).collect(),
             sources: sources.iter().map(ToString::to_string).collect(),
         })
     }

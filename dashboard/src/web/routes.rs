@@ -123,7 +123,7 @@ fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
         .route("/api/history", get(history))
         .route("/api/events", get(events))
         .route("/api/play", get(stage::play).post(stage::play_drawn))
-        .route("/api/play.mp4", get(stage::play_video))
+        .route("/api/play.mp4", get(stage::play_video).post(stage::play_drawn_video))
         .route("/api/snapshots", get(stage::snapshots))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
@@ -231,7 +231,7 @@ fn failed(error: &dyn std::error::Error) -> Response {
 }
 
 /// Paths of endpoints that read a body: a drawing.
-const WITH_BODY: [&str; 2] = ["/api/check", "/api/play"];
+const WITH_BODY: [&str; 3] = ["/api/check", "/api/play", "/api/play.mp4"];
 
 /// Sets the headers of every response. Rejects requests with a body that no endpoint reads, and those whose host is
 /// ambiguous.

@@ -266,6 +266,19 @@ pub(super) async fn play_drawn(
     RawQuery(query): RawQuery,
     file: Bytes,
 ) -> Response {
+    answer_drawn(stage, query, file, Form::Replay(replays)).await
+}
+
+/// Like [`play_drawn`], as a video.
+pub(super) async fn play_drawn_video(
+    Extension(stage): Extension<Option<Stage>>,
+    RawQuery(query): RawQuery,
+    file: Bytes,
+) -> Response {
+    answer_drawn(stage, query, file, Form::Video).await
+}
+
+async fn answer_drawn(stage: Option<Stage>, query: Option<String>, file: Bytes, form: Form) -> Response {
     let Some(stage) = stage else { return nothing_is_played() };
     // A check waits for its turn like an episode, and finishes even if its browser disconnects.
     let Ok(turn) = stage.turn.clone().acquire_owned().await else {
@@ -276,7 +289,7 @@ pub(super) async fn play_drawn(
         Order::drawn(query.as_deref().unwrap_or_default(), &file)
     });
     match order.await {
-        Ok(Ok(order)) => perform(stage, order, Form::Replay(replays), false).await,
+        Ok(Ok(order)) => perform(stage, order, form, false).await,
         Ok(Err(reason)) => refused(reason),
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }

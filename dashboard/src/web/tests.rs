@@ -499,6 +499,10 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
         // Each of the 16 values is rounded by at most one half.
         assert!(shares.len() == 16 && (shares.iter().sum::<f64>() - 100.0).abs() <= 8.0, "{shares:?}");
     }
+    // A gripper's choice is no attention of blocks.
+    let most: Vec<Vec<Vec<(usize, u64)>>> = serde_json::from_value(attention["most"].clone()).unwrap();
+    assert!(most[0].is_empty() && most.last().unwrap().iter().all(|blocks| blocks.len() == 16), "{most:?}");
+    assert!(most.iter().flatten().flatten().all(|(block, percent)| *block < 16 && (6..=100).contains(percent)));
     for id in
         ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
     {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use actor::ActorSetup;
+use actor::{ActorSetup, TaskFilter};
 use blueprints::Catalog;
 use bus::{Bus, BusError};
 use dashboard::config::WebConfig;
@@ -344,8 +344,9 @@ pub fn learner_setup(
     catalog: &Arc<Catalog>,
 ) -> Result<LearnerSetup, Failure> {
     config.device.open().map_err(|error| invalid("device", error))?;
-    let unusable = |error| invalid("actor.tasks.filter", error);
-    let tasks = config.actor.tasks.filter.select(catalog).map_err(unusable)?;
+    let selected = |key, filter: &TaskFilter| filter.select(catalog).map_err(|error| invalid(key, error));
+    let tasks = selected("actor.tasks.filter", &config.actor.tasks.filter)?;
+    selected("actor.tasks.prebuilt_filter", &config.actor.tasks.prebuilt_filter)?;
     Ok(LearnerSetup {
         config: config.part(|config| &config.learner),
         policy: config.part(|config| &config.policy),

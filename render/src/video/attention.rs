@@ -162,6 +162,17 @@ impl<'e> EpisodeAttention<'e> {
         received
     }
 
+    /// Returns the block that each block attends to most after `n_done` steps, and the share; `None` for a gripper.
+    pub fn most(&self, source: AttentionSource, n_done: usize) -> Option<[(BlockIdx, f32); N_BLOCKS]> {
+        let AttentionSource::Head { layer, head } = source else { return None };
+        let most = |block| {
+            let shares = BlockIdx::all().zip(self.scenes[n_done].row(layer, head, block).iter().copied());
+            shares.max_by(|(_, a), (_, b)| a.total_cmp(b)).expect("there are blocks")
+        };
+        let blocks: Vec<_> = BlockIdx::all().map(most).collect();
+        blocks.try_into().ok()
+    }
+
     /// Returns the shares of a head's attention after `n_done` steps.
     pub fn shares(&self, layer: usize, head: usize, n_done: usize) -> Shares {
         self.shares_of(n_done, |receiver, sender| self.scenes[n_done].row(layer, head, receiver)[sender.get()])

@@ -19,7 +19,7 @@ import { Stage } from "./stage.js";
 import { Terms } from "./terms.js";
 
 /** @import { Values } from "./address.js" */
-/** @import { About, Acting, Video, History, Evaluation, Roster, Row } from "./types" */
+/** @import { About, Video, History, Evaluation, Roster, Row } from "./types" */
 
 const options = new ChosenOptions(() => redraw("history", "learner"));
 const curves = new Curves($("curves"), options);
@@ -64,7 +64,7 @@ const editor = new Editor(stage, {
  * The address of nothing on the stage.
  * @type {Values}
  */
-const NOTHING = { blueprint: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, disturb: null, recording: null, step: null };
+const NOTHING = { blueprint: null, drawing: null, title: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, disturb: null, recording: null, step: null };
 const openVideo = (/** @type {Video} */ { id }) => {
   address.set({ ...NOTHING, recording: id }, true);
   stage.leave();
@@ -80,9 +80,22 @@ $("replay-ask").addEventListener("click", () => {
 $("replay-link").addEventListener("click", () => copyLink($("stage-shared")));
 $("replay-save").addEventListener("click", () => savePicture(replay));
 
+/** Shows the success of the actions that the address names, or else of those that were evaluated. */
+function chooseActing() {
+  const named = address.get("actions");
+  const { all } = model.history.evaluations.at(-1) || model.summary || { all: null };
+  const isSampled = named ? named === "sampled" : Boolean(all?.sampled) && !all.greedy;
+  model.acting = isSampled ? "sampled" : "greedy";
+  /** @type {NodeListOf<HTMLInputElement>} */ ($("acting").querySelectorAll("input")).forEach((one) => { one.checked = one.value === model.acting; });
+}
+
 /** Shows what the address names. Returns false if it names no episode. */
 function restore() {
   options.restore();
+  chooseActing();
+  heat.find(($("heat-find").value = address.get("find") || ""));
+  $("heat-whole").checked = address.get("whole") === "1";
+  heat.draw();
   $("replay-ghost").checked = address.get("goal") !== "hidden";
   if (address.get("open") === "gallery") stage.open();
   else if ($("gallery").open) $("gallery").close();
@@ -110,7 +123,14 @@ async function openCell({ id }, evaluation) {
   $("replay-title").scrollIntoView();
 }
 
-$("heat-find").addEventListener("input", () => heat.find($("heat-find").value));
+$("heat-find").addEventListener("input", () => {
+  address.set({ find: $("heat-find").value });
+  heat.find($("heat-find").value);
+});
+$("heat-whole").addEventListener("change", () => {
+  address.set({ whole: $("heat-whole").checked ? 1 : null });
+  heat.draw();
+});
 /** @type {Set<string>} */
 const stale = new Set();
 
@@ -126,6 +146,7 @@ function redraw(...parts) {
 function draw() {
   const parts = new Set(stale);
   stale.clear();
+  chooseActing();
   if (parts.has("history")) {
     heat.show(model.history, model.acting);
     curves.show(runs(), model.acting, underWay());
@@ -410,7 +431,7 @@ function listen() {
 }
 
 $("acting").addEventListener("change", ({ target }) => {
-  model.acting = /** @type {Acting} */ (/** @type {HTMLInputElement} */ (target).value);
+  address.set({ actions: /** @type {HTMLInputElement} */ (target).value });
   redraw("history");
 });
 /** Fetches the page's summary first. If that fails, treats the page as a training run. */

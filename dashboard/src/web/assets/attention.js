@@ -80,6 +80,14 @@ export class Attention {
     return this.attention && source >= 0 ? this.attention.percent[source][Math.floor(time)] : null;
   }
 
+  /**
+   * Returns the block that each block attends to most by the selected source, and the percent, if it tells.
+   * @param {number} time in scenes
+   */
+  most(time) {
+    return this.attention?.most[Number(this.parts.choice.value)]?.[Math.floor(time)] || null;
+  }
+
   draw() {
     const source = Number(this.parts.choice.value);
     this.parts.strip.hidden = source < 0;

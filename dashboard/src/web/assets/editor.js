@@ -4,6 +4,7 @@
 import { address } from "./address.js";
 import { imagesOf, quarter, quaternionOf } from "./axes.js";
 import { readDraft, sizeOf, writeDraft } from "./draft.js";
+import { encode } from "./drawing.js";
 import { $, element, sentence } from "./format.js";
 import { NO_ANSWER } from "./model.js";
 import { Pointer } from "./pointer.js";
@@ -590,7 +591,8 @@ export class Editor {
   /** @param {Agent} agent */
   build(agent) {
     if (!this.found.toml) return;
-    this.stage.startDrawn(this.found.toml, this.parts.name.value.trim() || "a drawing", agent);
+    const title = this.parts.name.value.trim() || "a drawing";
+    this.stage.startDrawn({ file: this.found.toml, title, code: encode(this.blocks) }, agent);
     $("replay-title").scrollIntoView();
   }
 }

@@ -65,7 +65,6 @@ export class Heat {
     canvas.addEventListener("pointerleave", () => this.move(null));
     canvas.addEventListener("keydown", (event) => this.key(event));
     canvas.addEventListener("click", () => this.open());
-    $("heat-whole").addEventListener("change", () => this.draw());
     new ResizeObserver(() => this.draw()).observe(canvas.parentElement);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
     const scale = $("heat-scale");

@@ -9,7 +9,7 @@ import { joined } from "./verdict.js";
  * @param {View} view
  * @param {number} block
  */
-function describe({ episode, time, attention }, block) {
+function describe({ episode, time, attention, most }, block) {
   const scene = episode.scenes[Math.floor(time)];
   const cells = episode.half_extents_m[block].map((half) => Math.round((2 * half) / episode.unit_m));
   const gripper = scene.held.indexOf(block);
@@ -22,6 +22,7 @@ function describe({ episode, time, attention }, block) {
     wanted > 0 ? `${all.length - wrong} of ${wanted} ${wanted === 1 ? "connection" : "connections"}` : "not part of the goal",
     wrong > 0 ? `${wrong} wrong` : "",
     attention ? `${Math.round(attention[block])} % of the attention` : "",
+    most ? `attends most to ${episode.names[most[block][0]]} (${most[block][1]} %)` : "",
   ].filter(Boolean).join(" · ");
 }
 

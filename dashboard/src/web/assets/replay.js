@@ -317,7 +317,7 @@ export class Replay {
   draw() {
     const { ghost, attention } = this.parts;
     for (const view of this.views) {
-      view.attention = view === this.main ? attention.at(view.time) : null;
+      [view.attention, view.most] = view === this.main ? [attention.at(view.time), attention.most(view.time)] : [null, null];
       view.draw(this.after, { follows: this.follows, hasGhosts: ghost.checked, shades: view.attention && view.attention.map(shade) });
     }
   }

@@ -45,11 +45,12 @@ export function savePicture({ episode, time, parts }) {
  * @param {string} url
  * @param {string} name of the file
  * @param {HTMLElement} say
+ * @param {string} [file] the blueprint file of what is built, if the server does not have it
  */
-export async function saveVideo(url, name, say) {
+export async function saveVideo(url, name, say, file) {
   say.textContent = "Making the video …";
   try {
-    const answer = await fetch(url);
+    const answer = await fetch(url, file ? { method: "POST", body: file } : {});
     say.textContent = answer.ok ? "" : await answer.text();
     if (answer.ok) save(await answer.blob(), name);
   } catch {

@@ -4,6 +4,7 @@ import { address } from "./address.js";
 import { $, percent } from "./format.js";
 import { openGallery } from "./gallery.js";
 import { NO_ANSWER, answerAt, isCopy, model } from "./model.js";
+import { decode, tomlOf } from "./drawing.js";
 import { present } from "./replay.js";
 import { saveVideo } from "./share.js";
 
@@ -20,6 +21,11 @@ const IN_A_ROW = 10;
 /**
  * Who builds an episode, and the weights of a policy.
  * @typedef {{ agent: string, weights: Weights }} Builder
+ */
+
+/**
+ * A drawing: its blueprint file, its title, and its blocks as the address names them.
+ * @typedef {{ file: string, title: string, code: string }} Drawn
  */
 
 /**
@@ -69,7 +75,7 @@ export class Stage {
   chosen = null;
   /**
    * What is built instead of a blueprint.
-   * @type {{ file: string, title: string } | null}
+   * @type {Drawn | null}
    */
   drawn = null;
   seed = 0;
@@ -180,8 +186,8 @@ export class Stage {
 
   /** Builds what the address names. Returns false if it names nothing. */
   restore() {
-    const id = address.get("blueprint");
-    if (id === null) return false;
+    const [id, code] = [address.get("blueprint"), isCopy ? null : address.get("drawing")];
+    if (id === null && code === null) return false;
     pick(this.parts.agent, address.get("agent"));
     pick(this.parts.mode, address.get("mode"));
     this.parts.both.checked = address.get("both") === "1";
@@ -190,20 +196,42 @@ export class Stage {
     this.before = (address.get("after") || "").split(",").filter(Boolean);
     this.parts.keep.checked = this.before.length > 0;
     this.disturbances = (address.get("disturb") || "").split("_").filter(Boolean);
-    [this.chosen, this.drawn] = [id, null];
+    this.chosen = id;
+    if (code === null) this.drawn = null;
+    else if (this.drawn?.code !== code) {
+      this.redraw(code, address.get("title") || "a drawing");
+      return true;
+    }
     if (this.order() === this.shown) this.replay.restore();
     else this.perform();
     return true;
   }
 
   /**
-   * Builds a drawing.
-   * @param {string} file the text of a blueprint file
+   * Builds the drawing that the address names.
+   * @param {string} code
    * @param {string} title
+   */
+  async redraw(code, title) {
+    this.parts.note.textContent = "Checking the drawing …";
+    try {
+      const file = await tomlOf(title, decode(code));
+      if (address.get("drawing") !== code) return;
+      this.drawn = { file, title, code };
+      this.perform();
+    } catch (error) {
+      const isAnswer = error instanceof Error && !(error instanceof TypeError);
+      this.parts.note.textContent = isAnswer ? `This drawing cannot be built: ${error.message}` : NO_ANSWER;
+    }
+  }
+
+  /**
+   * Builds a drawing.
+   * @param {Drawn} drawn
    * @param {Agent} agent
    */
-  startDrawn(file, title, agent) {
-    [this.drawn, this.before, this.disturbances, this.seed] = [{ file, title }, [], [], 0];
+  startDrawn(drawn, agent) {
+    [this.drawn, this.before, this.disturbances, this.seed] = [drawn, [], [], 0];
     pick(this.parts.agent, agent);
     this.build();
   }
@@ -263,7 +291,7 @@ export class Stage {
   /** Returns what is to be built, and how, as text. */
   order() {
     const { snapshot, beside } = this.snapshots.named();
-    return [this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, snapshot, beside, this.disturbances.join("_"), ...this.before].join();
+    return [this.drawn ? this.drawn.code : this.chosen, picked(this.parts.agent), this.parts.both.checked, picked(this.parts.mode), this.seed, snapshot, beside, this.disturbances.join("_"), ...this.before].join();
   }
 
   /**
@@ -305,13 +333,15 @@ export class Stage {
     return `blueprint=${encodeURIComponent(this.chosen)}&${how}${after}`;
   }
 
-  /** Saves the video of what is shown, if it has one. */
+  /** Saves the video of what is shown. */
   async saveVideo() {
     const recording = address.get("recording");
     const [builder] = this.builders();
     if (recording !== null) await saveVideo(answerAt(model.base, "video", recording), `${recording}.mp4`, this.parts.shared);
-    else if (this.chosen && !this.drawn) await saveVideo(`${model.base}/api/play.mp4?${this.wishes(builder)}`, `${this.chosen}-${builder.agent}.mp4`, this.parts.shared);
-    else this.parts.shared.textContent = "There is no video of a drawing. Save it as a file, and `lodestone play FILE` makes some.";
+    else if (this.drawn || this.chosen) {
+      const url = `${model.base}/api/play.mp4?${this.wishes(builder)}`;
+      await saveVideo(url, `${this.drawn ? "drawing" : this.chosen}-${builder.agent}.mp4`, this.parts.shared, this.drawn?.file);
+    } else this.parts.shared.textContent = "There is no episode yet.";
   }
 
   /**
@@ -322,7 +352,7 @@ export class Stage {
     if (!this.chosen && !this.drawn) return;
     const [agent, mode] = [picked(this.parts.agent), picked(this.parts.mode)];
     address.set({
-      blueprint: this.drawn ? null : this.chosen, agent: agent === "policy" ? null : agent, mode: mode === "greedy" ? null : mode,
+      blueprint: this.drawn ? null : this.chosen, drawing: this.drawn && this.drawn.code, title: this.drawn && this.drawn.title, agent: agent === "policy" ? null : agent, mode: mode === "greedy" ? null : mode,
       both: this.parts.both.checked ? 1 : null, ...this.snapshots.named(),
       seed: this.seed || null, after: this.before.join(","), disturb: this.disturbances.join("_"), recording: null, step: null,
     }, isNew);
@@ -363,8 +393,7 @@ export class Stage {
     const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
     // The user may have renamed the drawing since the file was checked.
     this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : title} (${blueprint}), start ${this.seed + 1}${nth}${weights}`;
-    // That of a drawing is no order.
-    this.shown = this.drawn ? "a drawing" : this.order();
+    this.shown = this.order();
     this.played(episodes);
     this.parts.success.textContent = this.success(goal.length);
     await present(this.replay, episodes, () => setTimeout(() => {

@@ -223,6 +223,8 @@ export interface Attended {
   weights_version: number;
   sources: string[];
   percent: number[][][];
+  /** By source and scene, the block that each block attends to most, and the percent; empty for a gripper. */
+  most: [number, number][][][];
 }
 
 /** A moment of an episode. */

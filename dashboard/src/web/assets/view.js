@@ -49,6 +49,11 @@ export class View {
    * @type {number[] | null}
    */
   attention = null;
+  /**
+   * The block that each block attends to most, and the percent.
+   * @type {[number, number][] | null}
+   */
+  most = null;
 
   /**
    * The block that the user moves right now, and how far, meters.
