@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
 """Makes the pages of this repository a book, with llms.txt for programs that read, and checks every link in it.
 
-    python3 lab/book.py target/book [--mdbook PROGRAM] [--source ADDRESS]
+    python3 lab/book.py target/book [--mdbook PROGRAM] [--source ADDRESS] [--demo FOLDER]
 
-The pages stay where they are: what links to a file that is no page leads to ADDRESS, by default to this checkout. Exits
+The demo that `lab/demo.py` made becomes a chapter. The pages stay where they are: what links to a file that is no page leads to ADDRESS, by default to this checkout. Exits
 with 1 if a link of the book leads nowhere, or if a page is missing from it.
 """
 
@@ -40,6 +40,11 @@ PARTS = {
     ],
 }
 PAGES = [page for pages in PARTS.values() for page in pages]
+DEMO = """# Demo
+
+[The page of three runs](demo/index.html): one that learns two to four blocks, the shipped policy, and one that learns a
+structure of its own. Nothing runs behind this copy, so that it plays what was recorded.
+"""
 # Notes beside files, which are read there.
 NOTES = (".github/", "tests/", "policy/tests/", "dashboard/")
 PICTURES = {".gif", ".png", ".svg"}
@@ -52,12 +57,18 @@ def main() -> int:
     parser.add_argument("out", type=Path, help="folder for the book, which is replaced")
     parser.add_argument("--mdbook", default="mdbook", help="the program mdBook [default: from PATH]")
     parser.add_argument("--source", default=ROOT.as_uri(), help="address of the repository's files [default: this checkout]")
+    parser.add_argument("--demo", type=Path, help="folder of the demo page, if the book is to have it")
     args = parser.parse_args()
     shutil.rmtree(args.out, ignore_errors=True)
     source = args.out / "src"
     for page in PAGES:
         write(source / in_book(page), linked(page, args.source, source))
-    write(source / "SUMMARY.md", f"# Summary\n\n{listing('#')}")
+    summary = f"# Summary\n\n{listing('#')}"
+    if args.demo:
+        write(source / "demo.md", DEMO)
+        shutil.copytree(args.demo, source / "demo")
+        summary += "\n[Demo](demo.md)\n"
+    write(source / "SUMMARY.md", summary)
     shutil.copy(ROOT / "lab/book.toml", args.out / "book.toml")
     subprocess.run([args.mdbook, "build", args.out], check=True)
     made = args.out / "book"

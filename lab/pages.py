@@ -1,8 +1,8 @@
 """The main states of the web page in a browser: each is reached, checked, and kept as pictures.
 
-`screenshots.py --states` runs this. A state is a function that brings the page there and requires what a user reads
-there. Then the page is looked at in each of `LOOKS`: it must not scroll sideways, axe-core must find no serious fault,
-and the browser must log no error.
+`screenshots.py --states` runs this. A state is a function that brings the page there and requires what a user
+reads there. Then the page is looked at in each of `LOOKS`: it must not scroll sideways, axe-core must find no
+serious fault, and the browser must log no error.
 """
 
 from __future__ import annotations
@@ -19,9 +19,13 @@ from pathlib import Path
 
 # Browsers in containers run as root and have little shared memory.
 OPTIONS = [
-    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars", "--force-prefers-reduced-motion",
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-dev-shm-usage",
+    "--hide-scrollbars",
+    "--force-prefers-reduced-motion",
 ]
-PATIENCE_S = 100
+PATIENCE_S = 300
 # What a script on the page begins with.
 PARTS = """
     const { editor, heat, replay, snapshots } = await import(new URL('app.js', document.baseURI).href);
@@ -38,9 +42,12 @@ PARTS = """
 """
 # Charts take their size a moment after the window, and images of the gallery come into view.
 SETTLE = """
-    const isSeen = (image) => image.getBoundingClientRect().top < innerHeight && image.getBoundingClientRect().bottom > 0;
     const wait = (ms) => new Promise((go) => setTimeout(go, ms));
-    do await wait(500); while ([...document.images].some((image) => isSeen(image) && image.naturalWidth === 0));
+    const isMissing = (image) => {
+        const { top, bottom } = image.getBoundingClientRect();
+        return top < innerHeight && bottom > 0 && image.naturalWidth === 0;
+    };
+    do await wait(500); while ([...document.images].some(isMissing));
 """
 AXE = """
     const { violations } = await axe.run(document, { resultTypes: ['violations'] });
@@ -93,8 +100,9 @@ class Browser:
         urllib.request.urlopen(urllib.request.Request(self.base, method="DELETE")).close()
 
     def ask(self, path: str, body: dict) -> object:
+        request = urllib.request.Request(self.base + path, json.dumps(body).encode())
         try:
-            with urllib.request.urlopen(urllib.request.Request(self.base + path, json.dumps(body).encode())) as answer:
+            with urllib.request.urlopen(request) as answer:
                 return json.load(answer)["value"]
         except urllib.error.HTTPError as error:
             raise Failed(json.load(error)["value"]["message"].splitlines()[0]) from None
@@ -132,10 +140,13 @@ class Browser:
         self.devtools("Emulation.setEmulatedMedia", features=features)
 
     def picture(self, is_whole: bool) -> bytes:
-        """Returns the picture of the window, or of the whole page, however far it reaches below."""
-        size = "return [innerWidth, Math.max(innerHeight, document.body.scrollHeight)]"
-        clip = dict(zip(("width", "height"), self.run(size)), x=0, y=0, scale=1)
-        whole = {"captureBeyondViewport": True, "clip": clip} if is_whole else {}
+        """Returns the picture of the window, or of the whole page, which goes to its top for that."""
+        size = "scrollTo(0, 0); return [innerWidth, Math.max(innerHeight, document.body.scrollHeight)]"
+        whole: dict[str, object] = {}
+        if is_whole:
+            width, height = self.run(size)
+            clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+            whole = {"captureBeyondViewport": True, "clip": clip}
         return base64.b64decode(self.devtools("Page.captureScreenshot", **whole)["data"])
 
     def errors(self) -> list[dict]:
@@ -154,8 +165,11 @@ class Album:
         self.n_states = 0
 
     def show(self, state: Callable[..., None], *place: object, is_answered: bool = True) -> None:
-        """Brings the page to a state and looks at it; `is_answered` says whether its server answers all requests."""
+        """Brings the page to a state and looks at it; `is_answered` says whether a server answers it."""
         self.n_states += 1
+        # The page before may have lost its server since.
+        self.browser.open("about:blank")
+        self.browser.errors()
         name = state.__name__.replace("_", "-")
         self.browser.size(*LOOKS["desktop"][:2])
         self.browser.scheme("light")
@@ -176,18 +190,21 @@ class Album:
         self.browser.scheme(scheme)
         self.browser.run(SETTLE)
         self.keep(f"{name}-{look}")
-        wide = self.browser.run("return document.documentElement.scrollWidth")
-        found = [f"it is {wide} pixels wide"] if wide > width else []
         # The browser itself wraps what is no page.
         if self.browser.run("return document.contentType") == "text/html":
-            if not self.browser.run("return 'axe' in window"):
-                self.browser.run(self.axe)
-            found += self.browser.run(AXE)
-        self.faults += [f"{name}, {look}: {fault}" for fault in found]
+            self.faults += [f"{name}, {look}: {fault}" for fault in self.found(width)]
+
+    def found(self, width: int) -> list[str]:
+        """Returns what is wrong with the page in a window of this width."""
+        if not self.browser.run("return 'axe' in window"):
+            self.browser.run(self.axe)
+        wide = self.browser.run("return document.documentElement.scrollWidth")
+        sideways = [f"it is {wide} pixels wide"] if wide > width else []
+        return sideways + self.browser.run(AXE)
 
     def keep(self, name: str) -> None:
-        # These fill the window.
-        is_covered = self.browser.run("return Boolean(document.querySelector('dialog[open]') || document.fullscreenElement)")
+        covers = "document.querySelector('dialog[open]') || document.fullscreenElement"
+        is_covered = self.browser.run(f"return Boolean({covers})")
         (self.folder / f"{name}.png").write_bytes(self.browser.picture(is_whole=not is_covered))
 
 
@@ -291,9 +308,10 @@ def full_screen(page: Browser, address: str) -> None:
     page.on_page("await until(() => document.fullscreenElement)")
     page.point(200, 200)
     page.on_page("""
-        await until(() => part('#replay').clientHeight === innerHeight && part('#replay').clientWidth === innerWidth);
-        const all = [...document.fullscreenElement.querySelectorAll('*')];
-        const seen = all.filter((one) => one.childElementCount === 0 && one.checkVisibility({ opacityProperty: true }));
+        await until(() => part('#replay').clientHeight === innerHeight);
+        require(part('#replay').clientWidth, innerWidth);
+        const isSeen = (one) => one.childElementCount === 0 && one.checkVisibility({ opacityProperty: true });
+        const seen = [...document.fullscreenElement.querySelectorAll('*')].filter(isSeen);
         require(seen.map(({ id }) => id), ['replay']);
     """)
 
@@ -330,7 +348,8 @@ def training(page: Browser, address: str) -> None:
     """)
 
 
-def training_ended(page: Browser, run: Program) -> None:
+def training_ended(page: Browser, address: str, run: Program) -> None:
+    training(page, address)
     run.end(signal.SIGINT)
     page.on_page("""
         await until(() => text('#state') === 'ended');
@@ -403,6 +422,14 @@ def token_refused(page: Browser, address: str) -> None:
 
 # Those that need only the address of `play`.
 OF_PLAY = (
-    built, not_built, gallery, gallery_search, drawing_with_a_problem, side_by_side, attention, full_screen, link_copied,
+    built,
+    not_built,
+    gallery,
+    gallery_search,
+    drawing_with_a_problem,
+    side_by_side,
+    attention,
+    full_screen,
+    link_copied,
     link_shown,
 )

@@ -1,18 +1,17 @@
 #!/usr/bin/env python3
-"""Makes the pictures of the web page in docs/ again, page.png and draw.png, or looks at all main states of the page.
+"""Makes the pictures of the web page in docs/ again, page.png and draw.png, or looks at all its main states.
 
     python3 lab/screenshots.py --binary target/release/lodestone [--driver /usr/bin/chromedriver]
     python3 lab/screenshots.py --binary target/release/lodestone --states target/pictures
 
-It needs a chromedriver next to its Chromium. A program that already runs is looked at with `--address` instead. With
-`--states`, it trains for some minutes, keeps pictures of each state in the folder, and fails if anything is wrong with
-one; it needs the axe-core that `.ci/run page` installs.
+It needs a chromedriver next to its Chromium. For docs/, a program that already runs is looked at with
+`--address`. With `--states`, it trains for some minutes, keeps pictures of each state in the folder, and
+fails if anything is wrong with one; it needs the axe-core that `.ci/run page` installs.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import subprocess
 import sys
 import tempfile
@@ -28,7 +27,9 @@ DOCS = [
     ("page.png", "?blueprint=14_003&step=40", (1280, 960), "await shows(40);"),
     ("draw.png", "?blueprint=2_000&step=0&draw=open", (1280, 880), pages.DRAW),
 ]
-SMALL = ["--preset", "quickstart", "--set", "evaluator.every.steps=4000", "--set", "evaluator.episodes.n_episodes=2"]
+SMALL = ["--preset", "quickstart"]
+SMALL += ["--set", "evaluator.every.steps=4000", "--set", "evaluator.episodes.n_episodes=2"]
+CLIPBOARD = ["clipboardReadWrite", "clipboardSanitizedWrite"]
 TOKEN = "only-for-pictures"
 
 
@@ -49,7 +50,7 @@ def take(browser: Browser, address: str) -> None:
 def look_at_play(album: Album, binary: str, scratch: Path) -> None:
     downloads = scratch / "downloads"
     album.browser.devtools("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(downloads))
-    album.browser.devtools("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    album.browser.devtools("Browser.grantPermissions", permissions=CLIPBOARD)
     with served([binary, "play", "--no-open"], scratch) as play:
         album.show(pages.being_built, play.said, downloads)
         for state in pages.OF_PLAY:
@@ -58,10 +59,10 @@ def look_at_play(album: Album, binary: str, scratch: Path) -> None:
 
 
 def look_at_training(album: Album, binary: str, scratch: Path) -> None:
-    train = [binary, "train", *SMALL, "--steps", "1e6", "--seed", "1", "--run-dir", "live", "--web", "127.0.0.1:0"]
-    with served(train, scratch) as run:
+    train = [binary, "train", *SMALL, "--steps", "1e6", "--seed", "1", "--run-dir", "live"]
+    with served([*train, "--web", "127.0.0.1:0"], scratch) as run:
         album.show(pages.training, run.said)
-        album.show(pages.training_ended, run)
+        album.show(pages.training_ended, run.said, run, is_answered=False)
 
 
 def look_at_runs(album: Album, binary: str, scratch: Path) -> None:
@@ -86,7 +87,8 @@ def look(browser: Browser, binary: str, folder: Path) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         for part in (look_at_play, look_at_training, look_at_runs):
             part(album, str(Path(binary).resolve()), Path(scratch))
-    print(f"{album.n_states} states, pictures in {folder}; {len(album.faults)} faults", *album.faults, sep="\n  ")
+    said = f"{album.n_states} states, pictures in {folder}; {len(album.faults)} faults"
+    print(said, *album.faults, sep="\n  ")
     return 1 if album.faults else 0
 
 
@@ -95,9 +97,10 @@ def main() -> int:
     parser.add_argument("--binary", default="target/release/lodestone")
     parser.add_argument("--driver", default="chromedriver")
     parser.add_argument("--address", help="of a page that is served already")
-    parser.add_argument("--states", type=Path, metavar="DIR", help="look at all main states, with pictures in this folder")
+    parser.add_argument("--states", type=Path, metavar="DIR", help="keep pictures of all main states here")
     arguments = parser.parse_args()
-    with Program([arguments.driver, "--port=0"], "successfully on port ", ".") as driver, Browser(driver.said) as browser:
+    driver = Program([arguments.driver, "--port=0"], "successfully on port ", ".")
+    with driver, Browser(driver.said) as browser:
         if arguments.states:
             return look(browser, arguments.binary, arguments.states)
         if arguments.address:

@@ -163,13 +163,13 @@ impl Batch {
     }
 
     /// Estimates the advantages of all samples from the `values` of all rows, both in reward units, and the importance
-    /// `ratios` of all samples. With `deadline`, returns end at the time limit.
-    pub fn advantages(&self, estimator: &dyn Estimator, values: &[f32], ratios: &[f32], deadline: bool) -> Vec<f32> {
+    /// `ratios` of all samples.
+    pub fn advantages(&self, estimator: &dyn Estimator, values: &[f32], ratios: &[f32]) -> Vec<f32> {
         let n_samples = self.n_samples();
         let mut advantages = vec![0.0; n_samples];
         for (segment, &last_value) in self.segments.iter().zip(&values[n_samples..]) {
             let samples = segment.samples.clone();
-            let bootstrap = gae::bootstrap_value(segment.status, last_value, deadline);
+            let bootstrap = gae::bootstrap_value(segment.status, last_value);
             let steps = Steps {
                 rewards: &self.rewards[samples.clone()],
                 values: &values[samples.clone()],
@@ -209,17 +209,6 @@ mod tests {
     }
 
     #[test]
-    fn a_deadline_ends_the_return() {
-        let mut late = trajectory(2, 5);
-        late.status = Status::TimeLimit;
-        // No rewards, γ = λ = 1, and a last scene with value 4.
-        let advantages =
-            |deadline| batch_of(vec![late.clone()]).advantages(&SUMS, &[0.0, 0.0, 4.0], &[1.0; 2], deadline);
-        assert_eq!(advantages(false), [4.0, 4.0]);
-        assert_eq!(advantages(true), [0.0, 0.0]);
-    }
-
-    #[test]
     fn a_segment_with_a_number_that_is_not_finite_is_removed_whole() {
         let segments = [trajectory(2, 3), trajectory(3, 4), trajectory(1, 5)];
         let of = |kept: &[usize]| batch_of(kept.iter().map(|&at| segments[at].clone()).collect());
@@ -252,6 +241,6 @@ mod tests {
         assert_eq!(batch.lag_histogram(), [3, 0, 2]);
         // γ = λ = 1; all values are 0 except those of the last scenes, 7 (ignored: success) and 4.
         let values = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, 4.0];
-        assert_eq!(batch.advantages(&SUMS, &values, &[1.0; 5], false), [1.0, 1.0, 4.0, 4.0, 4.0]);
+        assert_eq!(batch.advantages(&SUMS, &values, &[1.0; 5]), [1.0, 1.0, 4.0, 4.0, 4.0]);
     }
 }

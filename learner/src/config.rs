@@ -32,8 +32,6 @@ settings! {
         pub gamma: f32 = 0.99, in 0.0..=1.0;
         /// GAE's λ.
         pub gae_lambda: f32 = 0.95, in 0.0..=1.0;
-        /// Treats the time limit as a deadline: the return ends there, without the critic's value of the last scene.
-        pub deadline: bool = false;
         /// PPO loss.
         pub loss: LossConfig;
         /// Adam and its learning rate.

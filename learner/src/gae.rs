@@ -28,13 +28,11 @@ impl Estimator for Gae {
     }
 }
 
-/// Returns the value after a segment's last step: 0 after success, and at the time limit if it is a deadline; otherwise
-/// the critic's value of the last scene. Treating every limit as an end would teach the critic that long episodes are
-/// worthless.
-pub fn bootstrap_value(status: Status, last_value: f32, is_deadline: bool) -> f32 {
+/// Returns the value after a segment's last step: 0 after success, and otherwise the critic's value of the last scene.
+/// Treating the time limit as an end would teach the critic that long episodes are worthless.
+pub fn bootstrap_value(status: Status, last_value: f32) -> f32 {
     match status {
         Status::Success => 0.0,
-        Status::TimeLimit if is_deadline => 0.0,
         Status::Running | Status::TimeLimit | Status::Diverged => last_value,
     }
 }
@@ -65,17 +63,13 @@ mod tests {
         };
         assert_eq!(of(4.0), [1.5, 2.0]);
         // Success: δ₁ = 2 − 2 = 0, so A₁ = 0 and A₀ = 1.
-        assert_eq!(of(bootstrap_value(Status::Success, 4.0, false)), [1.0, 0.0]);
+        assert_eq!(of(bootstrap_value(Status::Success, 4.0)), [1.0, 0.0]);
     }
 
     #[test]
-    fn bootstrap_value_is_zero_after_success_and_at_a_deadline() {
-        for (status, without, with) in
-            [(Status::Success, 0.0, 0.0), (Status::TimeLimit, 3.0, 0.0), (Status::Running, 3.0, 3.0)]
-        {
-            assert_eq!(bootstrap_value(status, 3.0, false), without, "{status:?}");
-            assert_eq!(bootstrap_value(status, 3.0, true), with, "{status:?} with a deadline");
-        }
+    fn bootstrap_value_is_zero_after_success_alone() {
+        let last = [Status::Success, Status::TimeLimit, Status::Running].map(|status| bootstrap_value(status, 3.0));
+        assert_eq!(last, [0.0, 3.0, 3.0]);
     }
 
     #[test]

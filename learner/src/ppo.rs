@@ -159,7 +159,7 @@ impl Ppo {
         let ratios = importance_ratios(&before.log_probs, &batch.behavior_log_probs);
         let estimator = config.estimator();
         let values = in_reward_units(&before.values, &state.values);
-        let advantages = batch.advantages(&*estimator, &values, &ratios, config.deadline);
+        let advantages = batch.advantages(&*estimator, &values, &ratios);
         let returns: Vec<f32> = advantages.iter().zip(&values).map(|(a, v)| a + v).collect();
         if config.normalization.values && returns.iter().all(|x| x.is_finite()) {
             let next = state.values.after(&returns);
@@ -182,7 +182,7 @@ impl Ppo {
                 // The critic has changed, so recompute the stale advantages (Andrychowicz et al., "What matters in
                 // on-policy reinforcement learning", section 3.5).
                 let values = in_reward_units(&self.workers.values(batch), &state.values);
-                let advantages = batch.advantages(&*estimator, &values, &ratios, config.deadline);
+                let advantages = batch.advantages(&*estimator, &values, &ratios);
                 targets.refresh(advantages, &values, &state.values);
             }
             moved = self.epoch(batch, config, &targets, rate, &mut state.rng, &mut steps);

@@ -60,7 +60,7 @@ fn gae_distinguishes_time_limit_from_termination() {
             let last = if status == Status::Running { flat(&golden["bootstrap_value"][j])[0] } else { final_value };
             let segment = first..t + 1;
             let (rewards, values) = (&rewards[segment.clone()], &values[segment.clone()]);
-            let bootstrap = gae::bootstrap_value(status, last, false);
+            let bootstrap = gae::bootstrap_value(status, last);
             let steps = Steps { rewards, values, bootstrap, ratios: &[] };
             Gae { gamma, lambda }.advantages(&steps, &mut advantages[segment]);
             first = t + 1;

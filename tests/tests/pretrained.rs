@@ -72,6 +72,19 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
     }
 }
 
+#[test]
+fn what_the_page_says_of_its_success_is_about_the_shipped_policy() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/pretrained");
+    let model = Model::read(&folder.join("model.safetensors")).unwrap();
+    let success: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.join("success.json")).unwrap()).unwrap();
+    assert_eq!(success["weights_version"], model.weights.version.0);
+    let sizes: Vec<String> = (2..=16).map(|n| n.to_string()).collect();
+    let has_all =
+        |acting: &str| sizes.iter().all(|size| success[acting][size][0].as_u64() <= success[acting][size][1].as_u64());
+    assert!(has_all("greedy") && has_all("sampled") && success["greedy"]["16"][1].is_u64(), "{success}");
+}
+
 /// Whether this CPU sums in the order in which the sample was measured.
 fn is_same_arithmetic() -> bool {
     #[cfg(target_arch = "x86_64")]

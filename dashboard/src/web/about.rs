@@ -39,6 +39,8 @@ pub struct About {
     pub farewell: Farewell,
     /// What produced the run: its settings, and what else is known; `null` if it is no run.
     pub origin: Value,
+    /// Successes and episodes of the played policy by action mode and number of blocks; `null` if they are not known.
+    pub success: Value,
 }
 
 /// The last words of a page.

@@ -71,8 +71,8 @@ fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> Abou
     let farewell = Farewell { ended: "the program", command: None };
     let run = run.to_owned();
     let n_env_steps = Some(n_env_steps);
-    let origin = Value::Null;
-    About { kind, run, preset: None, n_env_steps, blueprints, catalog, farewell, origin }
+    let (origin, success) = (Value::Null, Value::Null);
+    About { kind, run, preset: None, n_env_steps, blueprints, catalog, farewell, origin, success }
 }
 
 /// A network small enough for tests, with its weights.

@@ -20,6 +20,9 @@ use runlog::paths::BEST_POLICY;
 /// The shipped policy; `pretrained/README.md` describes how it was trained and what it can do.
 const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
 
+/// Its successes and episodes by action mode and number of blocks.
+const PRETRAINED_SUCCESS: &str = include_str!("../../pretrained/success.json");
+
 /// Preset that the shipped policy was trained with.
 const PRETRAINED_PRESET: &str = "laptop";
 
@@ -110,6 +113,11 @@ impl Source {
         let config = merge(text, origin, Base::Defaults, overrides)?;
         Ok(Config { policy: evaluator::PolicyConfig::clone(&self.model.policy), ..config }.checked()?)
     }
+}
+
+/// Returns successes and episodes of the shipped policy, for the page.
+pub(super) fn pretrained_success() -> serde_json::Value {
+    serde_json::from_str(PRETRAINED_SUCCESS).expect("a test reads it")
 }
 
 /// Runs `export`.

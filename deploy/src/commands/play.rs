@@ -13,7 +13,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, run_of};
-use super::models::Source;
+use super::models::{Source, pretrained_success};
 use super::{common::join_bus, services};
 use crate::cli::PlayArgs;
 use crate::config::{Config, Override};
@@ -132,6 +132,7 @@ fn about(args: &PlayArgs, goals: &Goals) -> About {
         catalog: goals.catalog.clone(),
         farewell: Farewell { ended: "the program", command: Some(command(args)) },
         origin: serde_json::Value::Null,
+        success: args.checkpoint.is_none().then(pretrained_success).unwrap_or_default(),
     }
 }
 

@@ -108,7 +108,9 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let blueprints = config.evaluator.selection.blueprints.clone();
     let preset = preset_of(&paths);
     let origin = origin_of(&paths, &config);
-    let about = About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin };
+    let success = serde_json::Value::Null;
+    let about =
+        About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin, success };
     Ok(FinishedRun { about, evaluations, learner, run: paths, policy, weights, stage })
 }
 
@@ -151,6 +153,7 @@ mod tests {
             catalog: Catalog::builtin().clone(),
             farewell: Farewell { ended: "the program", command: None },
             origin: serde_json::Value::Null,
+            success: serde_json::Value::Null,
         };
         let found = groups(recorded(&[], &about(Vec::new())));
         assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");

@@ -208,6 +208,7 @@ pub(super) fn about(settings: &Settings, catalog: &Arc<Catalog>, farewell: Farew
         catalog: catalog.clone(),
         farewell,
         origin: serde_json::json!({ "settings": config.shown() }),
+        success: serde_json::Value::Null,
     }
 }
 

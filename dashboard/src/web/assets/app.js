@@ -147,6 +147,8 @@ function draw() {
   const parts = new Set(stale);
   stale.clear();
   chooseActing();
+  // Where nothing is evaluated unasked, nothing would ever fill these parts.
+  document.body.classList.toggle("unmeasured", model.about?.kind === "play" && model.history.evaluations.length === 0 && model.summary === null);
   if (parts.has("history")) {
     heat.show(model.history, model.acting);
     curves.show(runs(), model.acting, underWay());

@@ -246,21 +246,22 @@ export class Chart {
     const isLogY = this.isLogY();
     const grid = { stroke: () => color("--line"), width: 1 };
     const look = { stroke: () => color("--quiet"), font: FONT, grid, ticks: { show: false }, filter: (/** @type {any} */ _, /** @type {number[]} */ splits) => splits };
-    const nAcross = Math.max(Math.floor(width / (isTall ? 150 : 95)), 1);
+    // The plot may have another width later.
+    const nAcross = (/** @type {uPlot} */ plot) => Math.max(Math.floor(plot.width / (isTall ? 150 : 95)), 1);
     const nUp = isTall ? 5 : 3;
     const { sync } = this.how;
     const isMove = (/** @type {string} */ type) => type === "mousemove" || type === "mouseleave";
     return {
       width,
       height: this.height(width),
-      padding: [8, 20, 0, 0],
+      padding: [8, 28, 0, 0],
       legend: { show: false },
       scales: {
         x: { time: false, distr: isLogX ? 3 : 1, range: () => this.options.range || this.whole() },
         y: { distr: isLogY ? 3 : 1, range: (_, low, high) => (isRate && !isLogY ? [0, 1] : rangeY(low, high, isLogY)) },
       },
       axes: [
-        { ...look, size: 26, gap: 6, splits: (_, __, low, high) => (isLogX ? logTicks(low, high, nAcross) : withEnd(ticks(low, high, nAcross, axis.name === "elapsed_s"), low, high, width)),
+        { ...look, size: 26, gap: 6, splits: (plot, _, low, high) => (isLogX ? logTicks(low, high, nAcross(plot)) : withEnd(ticks(low, high, nAcross(plot), axis.name === "elapsed_s"), low, high, plot.width)),
           values: (_, splits) => splits.map((value) => axis.text(value).replace(/(h|min) 0 .*/, "$1")) },
         { ...look, size: isTall ? 52 : 48, gap: 4, splits: (_, __, low, high) => (isLogY ? logTicks(low, high, nUp) : ticks(low, high, nUp)),
           values: (_, splits) => splits.map(isRate ? (value) => `${Number((100 * value).toPrecision(3))} %` : brief) },

@@ -119,12 +119,13 @@ export function drawGroups(table, history, isKey) {
     return;
   }
   const cells = (/** @type {Rate | null} */ rate) => (rate ? [percent(rate.rate), interval(rate), String(rate.n_episodes)] : ["–", "–", "–"]);
+  const actings = /** @type {const} */ (["greedy", "sampled"]).filter((acting) => last.all[acting]);
   const rows = [...last.groups, last.all].map((group) => {
     const look = GROUPS.indexOf(group.name);
     const first = isKey && look >= 0 ? [sample(look), group.name] : [group.name];
-    return [first, String(group.n_blueprints), ...cells(group.greedy), ...cells(group.sampled)];
+    return [first, String(group.n_blueprints), ...actings.flatMap((acting) => cells(group[acting]))];
   });
   const caption = `Newest evaluation: weights ${last.weights_version}, ${count(last.n_env_steps)} steps, took ${minutes(last.elapsed_s)}`;
-  const heads = ["group", "blueprints", "greedy", "95 % interval", "episodes", "sampled", "95 % interval", "episodes"];
+  const heads = ["group", "blueprints", ...actings.flatMap((acting) => [acting, "95 % interval", "episodes"])];
   fill(table, caption, heads, rows);
 }

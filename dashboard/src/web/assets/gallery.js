@@ -14,7 +14,7 @@ import { answerAt } from "./model.js";
  * @param {(id: string) => void} choose
  */
 export function openGallery(dialog, blueprints, chosen, choose) {
-  const find = element("input", { type: "search", placeholder: "Name, number or blocks", "aria-label": "Search the gallery" });
+  const find = element("input", { type: "search", placeholder: "Name or blocks", "aria-label": "Search the gallery" });
   const close = element("button", { type: "button" }, "Close");
   close.addEventListener("click", () => dialog.close());
   const list = element("div", { class: "gallery" });

@@ -79,6 +79,8 @@ export class Stage {
    */
   drawn = null;
   seed = 0;
+  /** Whether the user has chosen the actions. */
+  isModeChosen = false;
   /**
    * The goals since the last reset.
    * @type {string[]}
@@ -126,6 +128,7 @@ export class Stage {
     });
     this.parts.choose.addEventListener("click", () => this.open());
     this.parts.video.addEventListener("click", () => this.saveVideo());
+    this.parts.mode.addEventListener("change", () => { this.isModeChosen = true; });
     for (const choices of [this.parts.agent, this.parts.mode]) choices.addEventListener("change", () => {
       // There is room for two.
       if (this.parts.both.checked) snapshots.parts.beside.checked = false;
@@ -174,8 +177,14 @@ export class Stage {
     const stays = this.parts.keep.checked && this.chosen && this.before.length + 1 < IN_A_ROW;
     this.disturbances = [];
     this.before = stays ? [...this.before, this.chosen] : [];
+    this.pickMode();
     [this.chosen, this.drawn] = [id, null];
     this.build(isNew);
+  }
+
+  /** Selects the actions that were evaluated, unless the user or the address has chosen some. */
+  pickMode() {
+    if (!this.isModeChosen && !address.get("mode")) pick(this.parts.mode, model.acting);
   }
 
   /** Makes room for what is not played here, such as a recording. */
@@ -240,6 +249,7 @@ export class Stage {
   again() {
     if (this.snapshots.parts.beside.checked) this.parts.both.checked = false;
     pick(this.parts.agent, null);
+    this.pickMode();
     this.parts.onward.checked = false;
     if (this.chosen || this.drawn) this.build();
     else this.go(1);
@@ -277,13 +287,15 @@ export class Stage {
   }
 
   /**
-   * Says how often the policy built structures of this size in the newest evaluation; empty if it had none.
+   * Says how often the policy built structures of this size in the newest evaluation, or else when it was measured;
+   * empty if neither is known.
    * @param {number} size in blocks
    */
   success(size) {
     const { blueprints } = model.history;
     const acting = /** @type {Acting} */ (picked(this.parts.mode));
-    const counts = this.snapshots.evaluation(this.snapshots.chosen)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || [];
+    const known = this.snapshots.chosen === null ? model.about?.success?.[acting]?.[size] : null;
+    const counts = this.snapshots.evaluation(this.snapshots.chosen)?.[acting].filter((cell, i) => cell && blueprints[i].n_blocks === size) || (known ? [known] : []);
     const [built, all] = [0, 1].map((k) => counts.reduce((sum, cell) => sum + cell[k], 0));
     return all > 0 ? `The policy builds ${percent(built / all)} of those with ${size} blocks.` : "";
   }

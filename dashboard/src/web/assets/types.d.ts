@@ -160,6 +160,8 @@ export interface About {
   is_of_sweep: boolean;
   farewell: { ended: string; command: string | null } | null;
   origin: Origin | null;
+  /** Successes and episodes of the played policy by number of blocks. */
+  success: Record<Acting, Record<string, Counts>> | null;
   recorded?: string[];
 }
 
