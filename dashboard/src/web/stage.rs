@@ -5,9 +5,9 @@ use std::fmt;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use axum::extract::{Extension, RawQuery};
-use axum::http::StatusCode;
+use axum::extract::Extension;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER};
+use axum::http::{Method, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use blueprints::checks::check_text;
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog};
@@ -232,61 +232,26 @@ impl Order {
     }
 }
 
-/// Plays the episode given by the query and returns it in the format of `/api/replay`.
+/// Plays the episode that the query describes, of the blueprint file in the body or else of a goal of the catalog. Returns
+/// it in the format of `/api/replay`, or as a video if the path ends like one.
 pub(super) async fn play(
     Extension(stage): Extension<Option<Stage>>,
     Extension(replays): Extension<Arc<Replays>>,
     Extension(catalog): Extension<Arc<Catalog>>,
-    RawQuery(query): RawQuery,
-) -> Response {
-    answer(stage, &catalog, query, Form::Replay(replays)).await
-}
-
-/// Like [`play`], as a video.
-pub(super) async fn play_video(
-    Extension(stage): Extension<Option<Stage>>,
-    Extension(catalog): Extension<Arc<Catalog>>,
-    RawQuery(query): RawQuery,
-) -> Response {
-    answer(stage, &catalog, query, Form::Video).await
-}
-
-async fn answer(stage: Option<Stage>, catalog: &Catalog, query: Option<String>, form: Form) -> Response {
-    let Some(stage) = stage else { return nothing_is_played() };
-    match Order::named(query.as_deref().unwrap_or_default(), catalog) {
-        Ok(order) => perform(stage, order, form, false).await,
-        Err(reason) => refused(reason),
-    }
-}
-
-/// Like [`play`], for the blueprint file in the body.
-pub(super) async fn play_drawn(
-    Extension(stage): Extension<Option<Stage>>,
-    Extension(replays): Extension<Arc<Replays>>,
-    RawQuery(query): RawQuery,
+    method: Method,
+    uri: Uri,
     file: Bytes,
 ) -> Response {
-    answer_drawn(stage, query, file, Form::Replay(replays)).await
-}
-
-/// Like [`play_drawn`], as a video.
-pub(super) async fn play_drawn_video(
-    Extension(stage): Extension<Option<Stage>>,
-    RawQuery(query): RawQuery,
-    file: Bytes,
-) -> Response {
-    answer_drawn(stage, query, file, Form::Video).await
-}
-
-async fn answer_drawn(stage: Option<Stage>, query: Option<String>, file: Bytes, form: Form) -> Response {
-    let Some(stage) = stage else { return nothing_is_played() };
-    // A check waits for its turn like an episode, and finishes even if its browser disconnects.
-    let Ok(turn) = stage.turn.clone().acquire_owned().await else {
-        return StatusCode::INTERNAL_SERVER_ERROR.into_response();
+    let Some(stage) = stage else { return (StatusCode::NOT_FOUND, "nothing is played here\n").into_response() };
+    let form = if uri.path().ends_with(".mp4") { Form::Video } else { Form::Replay(replays) };
+    // The check of a file waits for its turn like an episode, and finishes even if its browser disconnects.
+    let turn = match method {
+        Method::POST => stage.turn.clone().acquire_owned().await.ok(),
+        _ => None,
     };
     let order = tokio::task::spawn_blocking(move || {
-        let _turn = turn;
-        Order::drawn(query.as_deref().unwrap_or_default(), &file)
+        let query = uri.query().unwrap_or_default();
+        turn.map_or_else(|| Order::named(query, &catalog), |_turn| Order::drawn(query, &file))
     });
     match order.await {
         Ok(Ok(order)) => perform(stage, order, form, false).await,
@@ -306,10 +271,6 @@ pub(super) async fn snapshots(Extension(stage): Extension<Option<Stage>>) -> Res
         }
         Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
     }
-}
-
-fn nothing_is_played() -> Response {
-    (StatusCode::NOT_FOUND, "nothing is played here\n").into_response()
 }
 
 fn refused(reason: String) -> Response {
