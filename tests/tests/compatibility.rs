@@ -32,7 +32,7 @@ fn the_networks_of_the_presets_keep_their_hashes() {
 fn the_shipped_policy_is_read_and_is_one_of_the_laptop_preset() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/pretrained/model.safetensors");
     let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
-    assert_eq!((model.weights.version.0, model.weights.n_env_steps), (974, 4_000_010));
+    assert_eq!((model.weights.version.0, model.weights.n_env_steps), (731, 3_000_014));
     assert_eq!(model.weights.network_hash, network_hash("laptop"));
 }
 
