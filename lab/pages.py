@@ -342,7 +342,7 @@ def link_shown(page: Browser, address: str) -> None:
 def training(page: Browser, address: str) -> None:
     page.open(address)
     page.on_page("""
-        await until(() => heat.evaluations.length >= 2 && part('#groups tbody tr') && part('#health canvas'));
+        await until(() => heat.evaluations?.length >= 2 && part('#groups tbody tr') && part('#health canvas'));
         await until(() => part('#videos figure') && text('#roster').includes('actor '));
         require(text('#state'), 'live');
     """)
