@@ -30,9 +30,9 @@ const OTHERS: [Asset; 6] = [
 
 /// The page's modules. Those of the 3D view are loaded when the first episode is shown or the user starts to draw.
 const MODULES: [Asset; 38] = modules!(
-    "address" "app" "attention" "axes" "chart" "curves" "draft" "draw" "drawing" "editor" "follow" "format" "gallery" "grippers"
-    "ground" "hand" "health" "heat" "labels" "magnets" "model" "occlusion" "options" "origin" "pointer" "replay" "share"
-    "snapshots" "solid" "space" "stage" "sweep" "terms" "ticks" "upright" "verdict" "videos" "view"
+    "address" "app" "attention" "axes" "chart" "curves" "draft" "draw" "drawing" "editor" "follow" "format" "gallery"
+    "grippers" "ground" "hand" "health" "heat" "labels" "magnets" "model" "occlusion" "options" "origin" "pointer"
+    "replay" "share" "snapshots" "solid" "space" "stage" "sweep" "terms" "ticks" "upright" "verdict" "videos" "view"
 );
 
 /// Returns all files.

@@ -232,8 +232,8 @@ impl Order {
     }
 }
 
-/// Plays the episode that the query describes, of the blueprint file in the body or else of a goal of the catalog. Returns
-/// it in the format of `/api/replay`, or as a video if the path ends like one.
+/// Plays the episode that the query describes, of the blueprint file in the body or else of a goal of the catalog.
+/// Returns it in the format of `/api/replay`, or as a video if the path ends like one.
 pub(super) async fn play(
     Extension(stage): Extension<Option<Stage>>,
     Extension(replays): Extension<Arc<Replays>>,

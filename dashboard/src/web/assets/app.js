@@ -93,9 +93,9 @@ function chooseActing() {
 function restore() {
   options.restore();
   chooseActing();
-  heat.find(($("heat-find").value = address.get("find") || ""));
   $("heat-whole").checked = address.get("whole") === "1";
-  heat.draw();
+  $("heat-find").value = address.get("find") || "";
+  heat.find($("heat-find").value);
   $("replay-ghost").checked = address.get("goal") !== "hidden";
   if (address.get("open") === "gallery") stage.open();
   else if ($("gallery").open) $("gallery").close();
