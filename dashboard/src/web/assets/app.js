@@ -52,7 +52,7 @@ const stage = new Stage(replay, snapshots, {
   onward: $("stage-onward"), keep: $("stage-keep"), video: $("stage-video"), shared: $("stage-shared"), note: $("replay-note"), dialog: $("gallery"),
 });
 new Hand(replay, stage, {
-  modes: $("hand"), block: $("hand-block"), push: $("hand-push"), undo: $("hand-undo"), text: $("hand-text"),
+  modes: $("hand"), block: $("hand-block"), push: /** @type {HTMLButtonElement} */ ($("hand-push")), undo: $("hand-undo"), text: $("hand-text"),
 });
 const editor = new Editor(stage, {
   open: $("draw-open"), board: $("draw-board"), palette: $("draw-palette"), canvas: $("draw-canvas"), layer: $("draw-layer"),

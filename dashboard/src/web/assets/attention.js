@@ -96,24 +96,28 @@ export class Attention {
     const rest = (/** @type {number[]} */ scene) => scene.reduce((sum, x, block) => sum + (this.blocks.includes(block) ? 0 : x), 0);
     const rows = [...this.blocks.map((block) => (/** @type {number[]} */ scene) => scene[block]), rest];
     const label = `Attention of ${this.attention.sources[source]} over ${scenes.length - 1} steps`;
-    const drawing = svg("svg", { viewBox: `-3 0 ${scenes.length + 3} ${rows.length}`, preserveAspectRatio: "none", role: "img", "aria-label": label });
+    const last = scenes.length - 1;
+    const whole = { preserveAspectRatio: "none", role: "img" };
+    const names = svg("svg", { ...whole, class: "names", viewBox: `0 0 1 ${rows.length}`, "aria-label": "Colors of the rows' blocks" });
+    const drawing = svg("svg", { ...whole, viewBox: `0 0 ${last} ${rows.length}`, "aria-label": label });
     rows.forEach((share, row) => {
       const color = this.blocks[row] === undefined ? [128, 128, 128] : this.colors[this.blocks[row]];
-      drawing.append(svg("rect", { x: -3, y: row + 0.1, width: 2, height: 0.8, fill: `rgb(${color.join(",")})` }));
+      names.append(svg("rect", { x: 0, y: row + 0.1, width: 1, height: 0.8, fill: `rgb(${color.join(",")})` }));
+      // Around its step, as in the chart of rewards below.
       scenes.forEach((scene, step) => {
-        drawing.append(svg("rect", { x: step, y: row, width: 1.02, height: 1.02, fill: `rgb(${shade(share(scene)).join(",")})` }));
+        drawing.append(svg("rect", { x: step - 0.5, y: row, width: 1.02, height: 1.02, fill: `rgb(${shade(share(scene)).join(",")})` }));
       });
     });
     this.now = svg("line", { class: "now", y1: 0, y2: rows.length });
     drawing.append(this.now);
     this.parts.strip.style.height = `${Math.min(rows.length * 14, 160)}px`;
-    this.parts.strip.replaceChildren(drawing);
+    this.parts.strip.replaceChildren(names, drawing);
   }
 
   /** @param {number} time in scenes */
   seek(time) {
     if (!this.attention || Number(this.parts.choice.value) < 0) return;
-    this.now.setAttribute("x1", String(Math.floor(time) + 0.5));
-    this.now.setAttribute("x2", String(Math.floor(time) + 0.5));
+    this.now.setAttribute("x1", String(Math.floor(time)));
+    this.now.setAttribute("x2", String(Math.floor(time)));
   }
 }

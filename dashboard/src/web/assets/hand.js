@@ -21,7 +21,7 @@ const [AWAY_MPS, UP_MPS] = [2.5, 1];
  * @typedef {object} Parts
  * @property {HTMLElement} modes what the pointer does
  * @property {HTMLSelectElement} block the block for those without a pointer
- * @property {HTMLElement} push knocks that block
+ * @property {HTMLButtonElement} push knocks that block
  * @property {HTMLButtonElement} undo
  * @property {HTMLElement} text tells what was done
  */
@@ -148,6 +148,7 @@ export class Hand {
    * @param {Episode[]} episodes those that are shown; none if they cannot be disturbed
    */
   tell(episodes) {
+    this.parts.push.disabled = episodes.length === 0;
     this.parts.undo.disabled = this.stage.disturbances.length === 0;
     this.parts.text.textContent = "";
     if (episodes.length === 0) return;

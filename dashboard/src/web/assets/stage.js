@@ -413,6 +413,8 @@ export class Stage {
       if (this.snapshots.next()) this.build(false);
       else if (this.parts.onward.checked && !this.drawn) this.go(1, false);
     }, REST_MS), from);
+    // Whoever watches it learn asked for motion.
+    if (this.snapshots.isThrough) this.replay.play(true);
   }
 
   /**
