@@ -135,7 +135,7 @@ impl Assembly {
 
     /// Returns whether a part touches the ground in the finished structure.
     pub fn is_at_bottom(&self, side: usize, part: usize) -> bool {
-        self.geometry.bottom(part, self.sides[side].up) == self.ground_half_units(side)
+        self.geometry.boxes[part].bottom(self.sides[side].up) == self.ground_half_units(side)
     }
 
     /// Returns whether the structure can be completed from `placed` on that side.
@@ -179,7 +179,8 @@ impl Side {
             let margin_u = geometry.margin_u(placed.with(part), self.up);
             if margin_u >= MIN_BUILD_MARGIN_U {
                 let firmness = (margin_u.min(AMPLE_MARGIN_U) * 20.0).round() as i64;
-                found.push((geometry.bottom(part, self.up), -firmness, -geometry.volume(part), part));
+                let own = &geometry.boxes[part];
+                found.push((own.bottom(self.up), -firmness, -own.volume(), part));
             }
         }
         found.sort_unstable();

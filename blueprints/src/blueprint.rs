@@ -84,7 +84,18 @@ impl BlueprintId {
 
     /// Returns the number of blocks, 2 to 16, that an id of the catalog's form encodes; `None` for other ids.
     pub fn size(&self) -> Option<usize> {
-        parse_size(&self.0)
+        // The form is `[prefix_]<size>_<index>`.
+        let (rest, index) = self.0.rsplit_once('_')?;
+        let (prefix, size) = rest.rsplit_once('_').map_or((None, rest), |(prefix, size)| (Some(prefix), size));
+        let digits = |s: &str| !s.is_empty() && s.bytes().all(|b| b.is_ascii_digit());
+        let prefix_ok = prefix.is_none_or(|p| {
+            p.starts_with(|c: char| c.is_ascii_lowercase())
+                && p.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
+        });
+        if !prefix_ok || index.len() != 3 || !digits(index) || !digits(size) || size.starts_with('0') {
+            return None;
+        }
+        size.parse().ok().filter(|n| (2..=N_BLOCKS).contains(n))
     }
 
     /// Derives an id from a file name, for files without one: every run of invalid characters becomes one `-`. Returns
@@ -100,21 +111,6 @@ impl BlueprintId {
 
 fn is_id_char(c: char) -> bool {
     c.is_ascii_alphanumeric() || c == '-' || c == '_'
-}
-
-/// Returns the size in `[prefix_]<size>_<index>`, or `None` if the text has another form.
-fn parse_size(text: &str) -> Option<usize> {
-    let (rest, index) = text.rsplit_once('_')?;
-    let (prefix, size) = rest.rsplit_once('_').map_or((None, rest), |(prefix, size)| (Some(prefix), size));
-    let digits = |s: &str| !s.is_empty() && s.bytes().all(|b| b.is_ascii_digit());
-    let prefix_ok = prefix.is_none_or(|p| {
-        p.starts_with(|c: char| c.is_ascii_lowercase())
-            && p.bytes().all(|b| b.is_ascii_lowercase() || b.is_ascii_digit() || b == b'-')
-    });
-    if !prefix_ok || index.len() != 3 || !digits(index) || !digits(size) || size.starts_with('0') {
-        return None;
-    }
-    size.parse().ok().filter(|n| (2..=N_BLOCKS).contains(n))
 }
 
 impl TryFrom<String> for BlueprintId {

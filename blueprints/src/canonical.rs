@@ -14,7 +14,8 @@ impl Blueprint {
     /// Mirror images have different hashes: a reflection maps no block onto itself, because it would swap a face's
     /// magnets. The hash does not depend on id, split, title, or the program's version.
     pub fn canonical_hash(&self) -> u64 {
-        fnv1a(self.canonical_form())
+        // Of the smallest, over the 24 rotations, of the sorted lists of (size, center, rotation) as bytes.
+        fnv1a(CubeRotation::all().map(|rotation| self.form_turned_by(rotation)).min().unwrap_or_default())
     }
 
     /// Returns a hash that is the same for two blueprints exactly when they fill the same cells up to translation and
@@ -24,11 +25,6 @@ impl Blueprint {
     /// the same cells. It costs about as much as [`Self::canonical_hash`].
     pub fn outline_hash(&self) -> u64 {
         outline_hash(self.placements().iter().flat_map(|p| p.filled_cells()).collect())
-    }
-
-    /// Returns the smallest, over the 24 rotations, of the sorted lists of (size, center, rotation) as bytes.
-    fn canonical_form(&self) -> Vec<u8> {
-        CubeRotation::all().map(|rotation| self.form_turned_by(rotation)).min().unwrap_or_default()
     }
 
     fn form_turned_by(&self, rotation: CubeRotation) -> Vec<u8> {

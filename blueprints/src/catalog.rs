@@ -158,14 +158,12 @@ impl Catalog {
     pub fn with(&self, others: &Self) -> Self {
         let structures: BTreeSet<u64> = others.iter().map(Blueprint::canonical_hash).collect();
         let stays = |old: &&Blueprint| others.get(old.id()).is_none() && !structures.contains(&old.canonical_hash());
-        let mut blueprints: Vec<Blueprint> = self.iter().filter(stays).chain(others.iter()).cloned().collect();
-        sort(&mut blueprints);
-        Self::of_sorted(blueprints)
+        Self::new(self.iter().filter(stays).chain(others.iter()).cloned().collect())
     }
 
     /// Creates a catalog of one blueprint.
     pub fn of_one(blueprint: Blueprint) -> Self {
-        Self::of_sorted(vec![blueprint])
+        Self::new(vec![blueprint])
     }
 
     fn from_checked(files: Vec<(&str, Blueprint)>) -> Result<Self, CatalogError> {
@@ -187,11 +185,12 @@ impl Catalog {
             }
             blueprints.push(blueprint);
         }
-        sort(&mut blueprints);
-        Ok(Self::of_sorted(blueprints))
+        Ok(Self::new(blueprints))
     }
 
-    fn of_sorted(blueprints: Vec<Blueprint>) -> Self {
+    /// Sorts by split, size, and id. Size comes before id because 12_000 sorts before 2_000 as text.
+    fn new(mut blueprints: Vec<Blueprint>) -> Self {
+        blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
         let positions = blueprints.iter().enumerate().map(|(i, b)| (b.id().clone(), i)).collect();
         let held_out = blueprints.iter().filter(|b| b.split() != Split::Train).map(Blueprint::outline_hash).collect();
         Self { blueprints, positions, held_out }
@@ -233,11 +232,6 @@ impl Catalog {
     pub fn is_empty(&self) -> bool {
         self.blueprints.is_empty()
     }
-}
-
-/// Sorts by split, size, and id. Size comes before id because 12_000 sorts before 2_000 as text.
-fn sort(blueprints: &mut [Blueprint]) {
-    blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
 }
 
 /// Checks files and returns their names and blueprints.

@@ -469,19 +469,17 @@ impl<'a> Structure<'a> {
     }
 
     fn blueprint(&self) -> Blueprint {
+        let link = |joint: &Joint| {
+            let mut pair = [joint.a, joint.b].map(|i| &self.placements[i]);
+            pair.sort_by_key(|p| p.block);
+            let relative = RelativePlacement::between(pair[0], pair[1]);
+            // Blocks do not overlap here, so at most one face of 8 × 8 magnets meets another.
+            let n_magnet_pairs = u8::try_from(joint.places.len()).unwrap_or(u8::MAX);
+            Link { a: pair[0].block, b: pair[1].block, relative, n_magnet_pairs }
+        };
+        let mut links: Vec<Link> = self.joints.iter().map(link).collect();
+        links.sort_by_key(|link| (link.a, link.b));
         let placements = self.by_block();
-        let mut links = Vec::new();
-        for (i, a) in placements.iter().enumerate() {
-            for b in &placements[i + 1..] {
-                let relative = RelativePlacement::between(a, b);
-                let n_pairs = Inventory::standard().magnet_pairs(a.block, b.block, relative).len();
-                // Blocks do not overlap here, so at most one face of 8 × 8 magnets meets another.
-                let n_magnet_pairs = u8::try_from(n_pairs).unwrap_or(u8::MAX);
-                if n_magnet_pairs > 0 {
-                    links.push(Link { a: a.block, b: b.block, relative, n_magnet_pairs });
-                }
-            }
-        }
         Blueprint {
             id: self.draft.id.clone(),
             split: self.draft.split,

@@ -13,6 +13,7 @@ use crate::format::MAX_COORDINATE;
 use crate::pieces::pieces;
 use crate::placement::move_to_origin;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
+use crate::writer::numbered;
 pub use crate::writer::word;
 use crate::{
     Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
@@ -168,17 +169,15 @@ impl Drawing {
     /// Places the blocks with the lowest corner at the origin. The k-th block of a type is the k-th in the inventory.
     fn placements(&self) -> Result<Vec<Placement>, BlueprintError> {
         let inventory = Inventory::standard();
-        let mut n_used: BTreeMap<&str, usize> = BTreeMap::new();
         let mut placements = Vec::with_capacity(self.blocks.len());
-        for drawn in &self.blocks {
+        for (i, drawn) in self.blocks.iter().enumerate() {
             let same = inventory.blocks_of_type(&drawn.type_name);
-            let k = n_used.entry(&drawn.type_name).or_default();
-            let block = *same.get(*k).ok_or_else(|| BlueprintError::TooMany {
-                block: format!("{} {}", word(&drawn.type_name), *k + 1),
+            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == drawn.type_name).count();
+            let block = *same.get(n_before).ok_or_else(|| BlueprintError::TooMany {
+                block: format!("{} {}", word(&drawn.type_name), n_before + 1),
                 type_name: drawn.type_name.clone(),
                 count: same.len(),
             })?;
-            *k += 1;
             let size = drawn.rotation.apply(inventory.cells(block).map(i32::from)).map(i32::abs);
             let center_half_units = std::array::from_fn(|k| 2 * drawn.at[k] + size[k]);
             placements.push(Placement { block, center_half_units, rotation: drawn.rotation });
@@ -189,9 +188,8 @@ impl Drawing {
 
     /// Returns the word for a block, with a number if there are several of its type.
     fn name(&self, i: usize) -> String {
-        let same = |blocks: &[DrawnBlock]| blocks.iter().filter(|b| b.type_name == self.blocks[i].type_name).count();
-        let word = word(&self.blocks[i].type_name);
-        if same(&self.blocks) == 1 { word.to_owned() } else { format!("{word} {}", same(&self.blocks[..=i])) }
+        let types: Vec<&str> = self.blocks.iter().map(|block| block.type_name.as_str()).collect();
+        numbered(&types, i, ' ')
     }
 
     fn names(&self, blocks: &[usize]) -> String {

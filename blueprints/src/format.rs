@@ -74,12 +74,10 @@ pub(crate) struct Draft {
 #[serde(deny_unknown_fields)]
 struct RawFile {
     id: Option<BlueprintId>,
-    #[serde(default = "for_training")]
-    split: Split,
+    split: Option<Split>,
     title: Option<String>,
     provenance: Option<String>,
-    #[serde(default = "up_is_z")]
-    up: String,
+    up: Option<String>,
     blocks: Vec<Spanned<RawBlock>>,
     connections: Option<Vec<RawConnection>>,
 }
@@ -104,14 +102,6 @@ struct RawConnection {
     magnets: Vec<String>,
 }
 
-fn for_training() -> Split {
-    Split::Train
-}
-
-fn up_is_z() -> String {
-    "+z".to_owned()
-}
-
 impl Draft {
     /// Parses a file's text and reports errors of form, not of structure. The file name provides a missing id.
     pub(crate) fn parse(file: &str, text: &str) -> Result<Self, BlueprintError> {
@@ -130,7 +120,8 @@ impl Draft {
                 return Err(BlueprintError::Empty(field));
             }
         }
-        let up = parse_axis(&raw.up).ok_or(BlueprintError::BadUp(raw.up))?;
+        let up = raw.up.unwrap_or_else(|| "+z".to_owned());
+        let up = parse_axis(&up).ok_or(BlueprintError::BadUp(up))?;
         let mut blocks: Vec<DraftBlock> = Vec::new();
         for (i, block) in raw.blocks.into_iter().enumerate() {
             let block = parse_block(text, block, i)?;
@@ -145,7 +136,8 @@ impl Draft {
         }
         let pairs = raw.connections.map(|connections| parse_pairs(connections, &blocks)).transpose()?;
         let title = raw.title.unwrap_or_else(|| id.to_string());
-        Ok(Self { id, split: raw.split, title, up, provenance: raw.provenance, blocks, pairs })
+        let split = raw.split.unwrap_or(Split::Train);
+        Ok(Self { id, split, title, up, provenance: raw.provenance, blocks, pairs })
     }
 
     /// Creates a drawing of placed blocks without connections; block names are numbers.
@@ -261,14 +253,11 @@ fn parse_block(text: &str, raw: Spanned<RawBlock>, i: usize) -> Result<DraftBloc
     let parse_size =
         |size: &Spanned<Value>| whole_numbers(size.get_ref()).and_then(narrow).ok_or_else(|| bad_cells("size", size));
     let size = size.as_ref().map(parse_size).transpose()?;
-    let parse = |axes: &str| {
-        let (x, y) = axes.split_once(' ')?;
-        CubeRotation::from_images(parse_axis(x)?, parse_axis(y)?)
+    let parse_axes = |axes: String| {
+        let turn = axes.split_once(' ').and_then(|(x, y)| CubeRotation::from_images(parse_axis(x)?, parse_axis(y)?));
+        turn.ok_or_else(|| BlueprintError::BadAxes { block: name.clone(), axes })
     };
-    let turn = match axes {
-        Some(axes) => Some(parse(&axes).ok_or_else(|| BlueprintError::BadAxes { block: name.clone(), axes })?),
-        None => None,
-    };
+    let turn = axes.map(parse_axes).transpose()?;
     Ok(DraftBlock { name, type_name, at, turn, size })
 }
 
@@ -322,17 +311,14 @@ fn brief(value: &Value) -> String {
 
 /// Parses a signed axis such as `+x` or `-y`.
 fn parse_axis(text: &str) -> Option<[i32; 3]> {
-    let (sign, axis) = match text.as_bytes() {
-        [b'+', axis] => (1, axis),
-        [b'-', axis] => (-1, axis),
+    let [sign, axis] = text.as_bytes() else { return None };
+    let sign = match sign {
+        b'+' => 1,
+        b'-' => -1,
         _ => return None,
     };
-    match axis {
-        b'x' => Some([sign, 0, 0]),
-        b'y' => Some([0, sign, 0]),
-        b'z' => Some([0, 0, sign]),
-        _ => None,
-    }
+    let axis = b"xyz".iter().position(|known| known == axis)?;
+    Some(std::array::from_fn(|i| if i == axis { sign } else { 0 }))
 }
 
 /// Returns the parser's message on one line, with the line number of the error.

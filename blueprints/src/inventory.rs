@@ -40,6 +40,11 @@ impl BlockIdx {
         (0..N_BLOCKS as u8).map(Self)
     }
 
+    /// Returns an array with one value per block.
+    pub fn array<T>(mut f: impl FnMut(Self) -> T) -> [T; N_BLOCKS] {
+        std::array::from_fn(|i| f(Self(i as u8)))
+    }
+
     /// Returns the index as a `usize`, for arrays of [`N_BLOCKS`].
     pub fn get(self) -> usize {
         usize::from(self.0)
@@ -183,7 +188,13 @@ impl Inventory {
         b_from_a: RelativePlacement,
         wanted: impl Fn(Polarity, Polarity) -> bool,
     ) -> Vec<(usize, usize)> {
-        let moved: Vec<Magnet> = self.magnets(b).iter().map(|magnet| magnet.seen_through(b_from_a)).collect();
+        let RelativePlacement { offset_half_units: offset, rotation } = b_from_a;
+        let seen_from_a = |magnet: &Magnet| {
+            let turned = rotation.apply(magnet.position_half_units);
+            let position_half_units = std::array::from_fn(|i| turned[i] + offset[i]);
+            Magnet { position_half_units, normal: rotation.apply(magnet.normal), polarity: magnet.polarity }
+        };
+        let moved: Vec<Magnet> = self.magnets(b).iter().map(seen_from_a).collect();
         let mut pairs = Vec::new();
         for (i, p) in self.magnets(a).iter().enumerate() {
             for (j, q) in moved.iter().enumerate() {
@@ -224,18 +235,6 @@ impl FromStr for Inventory {
     }
 }
 
-impl Magnet {
-    /// Transforms a magnet of block `b` to the frame of block `a`, where `b_from_a` is the pose of `b` relative to `a`.
-    pub fn seen_through(self, b_from_a: RelativePlacement) -> Self {
-        let turned = b_from_a.rotation.apply(self.position_half_units);
-        Self {
-            position_half_units: std::array::from_fn(|i| turned[i] + b_from_a.offset_half_units[i]),
-            normal: b_from_a.rotation.apply(self.normal),
-            polarity: self.polarity,
-        }
-    }
-}
-
 /// Returns the magnets of a cuboid. A unit cell's center is an odd number of half units from the cuboid's corner.
 fn magnets_of(cells: [u8; 3]) -> Vec<Magnet> {
     let size = cells.map(i32::from);
@@ -246,18 +245,15 @@ fn magnets_of(cells: [u8; 3]) -> Vec<Magnet> {
         for (sign, polarity) in [(1, Polarity::Positive), (-1, Polarity::Negative)] {
             let mut normal = [0; 3];
             normal[axis] = sign;
-            let mut face = Vec::new();
-            for pu in centers(u) {
-                for pv in centers(v) {
-                    let mut position_half_units = [0; 3];
-                    position_half_units[axis] = sign * size[axis];
-                    position_half_units[u] = pu;
-                    position_half_units[v] = pv;
-                    face.push(Magnet { position_half_units, normal, polarity });
-                }
+            let mut places = Vec::new();
+            for (pu, pv) in centers(u).flat_map(|pu| centers(v).map(move |pv| (pu, pv))) {
+                let mut place = [0; 3];
+                (place[axis], place[u], place[v]) = (sign * size[axis], pu, pv);
+                places.push(place);
             }
-            face.sort_by_key(|magnet| magnet.position_half_units);
-            magnets.extend(face);
+            places.sort_unstable();
+            let magnet = |position_half_units| Magnet { position_half_units, normal, polarity };
+            magnets.extend(places.into_iter().map(magnet));
         }
     }
     magnets

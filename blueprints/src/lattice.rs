@@ -140,15 +140,11 @@ impl CubeRotation {
             let m = r.matrix();
             (0..9).map(|k| m[k / 3][k % 3] as f32 * wanted[(k / 3, k % 3)]).sum::<f32>()
         };
-        let mut best = (Self::IDENTITY, trace(Self::IDENTITY));
-        for rotation in Self::all().skip(1) {
-            let candidate = trace(rotation);
-            if candidate > best.1 {
-                best = (rotation, candidate);
-            }
-        }
+        let traces = Self::all().map(|rotation| (rotation, trace(rotation)));
+        let nearest = traces.reduce(|best, next| if next.1 > best.1 { next } else { best });
+        let (nearest, _) = nearest.expect("there are rotations");
         // Compute the angle from the quaternions: acos of the trace loses half the digits near zero.
-        (best.0, best.0.quaternion().angle_to(orientation))
+        (nearest, nearest.quaternion().angle_to(orientation))
     }
 
     /// Returns the rotation as a unit quaternion.

@@ -42,12 +42,6 @@ pub struct Load {
     pub max_torque_nm: f64,
 }
 
-impl Load {
-    fn is_excessive(&self) -> bool {
-        self.force_n > self.max_force_n || self.torque_nm > self.max_torque_nm
-    }
-}
-
 /// Returns the first joint whose load exceeds its limit, by index in `joints`.
 ///
 /// `cells` are the filled cells of each block, `lowest` the height of the ground in units. Only joints whose removal
@@ -65,7 +59,8 @@ pub fn overloaded(cells: &[Vec<[i32; 3]>], joints: &[Joint], lowest: i32) -> Opt
         [true, false].into_iter().find_map(|is_with_a| {
             let hanging: Vec<usize> = (0..cells.len()).filter(|&i| (piece[i] == piece[joint.a]) == is_with_a).collect();
             let load = load_of(&hanging, cells, joint);
-            (!hanging.iter().any(|&i| grounded[i]) && load.is_excessive()).then_some((at, load))
+            let is_excessive = load.force_n > load.max_force_n || load.torque_nm > load.max_torque_nm;
+            (is_excessive && !hanging.iter().any(|&i| grounded[i])).then_some((at, load))
         })
     })
 }

@@ -14,6 +14,13 @@ pub fn word(type_name: &str) -> &str {
     NAMES.iter().find(|(of, _)| *of == type_name).map_or(type_name, |(_, word)| word)
 }
 
+/// Returns the word for the `i`-th of the types, numbered from 1 after `separator` if the type occurs more than once.
+pub(crate) fn numbered(types: &[&str], i: usize, separator: char) -> String {
+    let same = |range: &[&str]| range.iter().filter(|name| **name == types[i]).count();
+    let word = word(types[i]);
+    if same(types) == 1 { word.to_owned() } else { format!("{word}{separator}{}", same(&types[..=i])) }
+}
+
 impl Blueprint {
     /// Returns the text of the blueprint's file; `provenance` states the origin of the structure.
     ///
@@ -71,16 +78,7 @@ impl Blueprint {
     fn block_names(&self) -> Vec<String> {
         let inventory = Inventory::standard();
         let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
-        (0..types.len())
-            .map(|i| {
-                let same = |range: &[&str]| range.iter().filter(|name| **name == types[i]).count();
-                if same(&types) == 1 {
-                    word(types[i]).to_owned()
-                } else {
-                    format!("{}-{}", word(types[i]), same(&types[..=i]))
-                }
-            })
-            .collect()
+        (0..types.len()).map(|i| numbered(&types, i, '-')).collect()
     }
 }
 

@@ -166,7 +166,6 @@ fn blueprints_of_ones_own_take_the_place_of_their_like() {
     let renamed = builtin_text("6_005.toml").replace("6_005", "6_900");
     let own = Catalog::from_files([("6_900.toml", renamed.as_str())]).expect("the file is valid");
     let both = Catalog::builtin().with(&own);
-    let id = |id: &str| id.parse().expect("the id is valid");
     assert_eq!(both.len(), Catalog::builtin().len());
     assert!(both.get(&id("6_005")).is_none(), "the same structure under another name");
     assert_eq!(both.get(&id("6_900")), own.get(&id("6_900")));

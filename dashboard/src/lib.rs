@@ -13,7 +13,7 @@ pub mod terminal;
 pub mod web;
 
 pub use config::DashboardConfig;
-pub use run_view::{Sizes, waits};
+pub use run_view::{Sizes, success_rate, waits};
 pub use web::{
     About, Builder, Farewell, Finished, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export,
 };

@@ -22,6 +22,7 @@ use time::OffsetDateTime;
 
 pub use sizes::Sizes;
 pub(crate) use trends::Trends;
+pub use trends::success_rate;
 
 /// Maximum number of remembered actors, including lost ones, so that invented names cannot exhaust memory.
 pub(crate) const MAX_ACTORS: usize = 10_000;
@@ -118,31 +119,23 @@ pub(crate) struct SessionState {
     pub(crate) counts: BusCounts,
 }
 
-/// Why a sample is rejected.
-enum Refusal {
-    Schema,
-    Unreadable,
-    Key,
-    Limit,
-}
+/// Why a sample is rejected: the count of those that are rejected for this reason.
+type Refusal = fn(&mut Unread) -> &mut u64;
+
+const SCHEMA: Refusal = |unread| &mut unread.schema_unknown_total;
+const UNREADABLE: Refusal = |unread| &mut unread.metrics_unreadable_total;
+const KEY: Refusal = |unread| &mut unread.keys_unknown_total;
+const LIMIT: Refusal = |unread| &mut unread.over_limit_total;
 
 impl RunView {
     /// Processes one metrics sample. Samples that cannot be shown are counted and change nothing else. Returns whether
     /// the shown state changed.
     pub(crate) fn take(&mut self, sample: &MetricsSample, now: Duration) -> bool {
-        let refusal = match self.read(&sample.suffix, &sample.value, now) {
-            Ok(is_news) => return is_news,
-            Err(refusal) => refusal,
-        };
-        let unread = &mut self.unread;
-        let count = match refusal {
-            Refusal::Schema => &mut unread.schema_unknown_total,
-            Refusal::Unreadable => &mut unread.metrics_unreadable_total,
-            Refusal::Key => &mut unread.keys_unknown_total,
-            Refusal::Limit => &mut unread.over_limit_total,
-        };
-        *count = count.saturating_add(1);
-        false
+        self.read(&sample.suffix, &sample.value, now).unwrap_or_else(|refusal| {
+            let count = refusal(&mut self.unread);
+            *count = count.saturating_add(1);
+            false
+        })
     }
 
     /// Updates the state of the session. Returns whether anything changed.
@@ -222,7 +215,7 @@ impl RunView {
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
                 if !value.proposals.as_ref().is_none_or(proposals::are_believable) {
-                    return Err(Refusal::Unreadable);
+                    return Err(UNREADABLE);
                 }
                 // A learner that waits for its disk reports the same weights again.
                 let is_same = |heard: &Newest<LearnerMetrics>| heard.value.weights_version == value.weights_version;
@@ -249,7 +242,7 @@ impl RunView {
                 let value: ActorMetrics = parse(value)?;
                 is_key(suffix, &keys::metrics_actor(&value.actor))?;
                 if !self.actors.contains_key(&value.actor) && !self.make_room_for_actor() {
-                    return Err(Refusal::Limit);
+                    return Err(LIMIT);
                 }
                 // The tokens decide whether an actor is alive. Metrics may arrive before its token; the next roster
                 // corrects this.
@@ -261,13 +254,13 @@ impl RunView {
                 is_key(suffix, &keys::metrics_eval(value.split, &value.blueprint))?;
                 believe(rates(&value.sampled).into_iter().chain(rates(&value.greedy)))?;
                 if !self.blueprints.contains_key(&value.blueprint) && self.blueprints.len() >= MAX_BLUEPRINTS {
-                    return Err(Refusal::Limit);
+                    return Err(LIMIT);
                 }
                 let is_news = self.blueprints.get(&value.blueprint) != Some(&value);
                 self.blueprints.insert(value.blueprint.clone(), value);
                 is_news
             }
-            _ => return Err(Refusal::Key),
+            _ => return Err(KEY),
         })
     }
 
@@ -306,13 +299,13 @@ fn update<T: PartialEq>(slot: &mut Option<Newest<T>>, value: T, at: Duration) ->
 
 fn parse<T: DeserializeOwned>(value: &Value) -> Result<T, Refusal> {
     if value.get("schema_version").and_then(Value::as_u64) != Some(METRICS_SCHEMA_VERSION.into()) {
-        return Err(Refusal::Schema);
+        return Err(SCHEMA);
     }
-    T::deserialize(value).map_err(|_| Refusal::Unreadable)
+    T::deserialize(value).map_err(|_| UNREADABLE)
 }
 
 fn is_key(suffix: &str, expected: &str) -> Result<(), Refusal> {
-    if suffix == expected { Ok(()) } else { Err(Refusal::Unreadable) }
+    if suffix == expected { Ok(()) } else { Err(UNREADABLE) }
 }
 
 fn rates(outcome: &EvalOutcome) -> [&SuccessRate; 2] {
@@ -326,7 +319,7 @@ fn believe<'a>(rates: impl IntoIterator<Item = &'a SuccessRate>) -> Result<(), R
         success.n_successes <= success.n_episodes
             && [success.rate, success.wilson_low, success.wilson_high].into_iter().all(is_share)
     });
-    if are_fine { Ok(()) } else { Err(Refusal::Unreadable) }
+    if are_fine { Ok(()) } else { Err(UNREADABLE) }
 }
 
 /// Returns the counters of a struct by field name. Going through serde includes fields that are added later.

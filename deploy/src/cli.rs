@@ -19,7 +19,6 @@ mod render;
 mod report;
 mod serve;
 mod settings;
-mod start;
 mod sweep;
 mod values;
 mod watch;
@@ -31,7 +30,6 @@ pub use self::render::{RenderArgs, VideoFormat};
 pub use self::report::ReportArgs;
 pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
-pub use self::start::StartArg;
 pub use self::sweep::SweepArgs;
 pub use self::watch::WatchArgs;
 

@@ -10,6 +10,7 @@ use dashboard::terminal::WatchError;
 use learner::{CheckpointError, Diverged, LearnerError};
 use proto::SettingsDifference;
 use runlog::HistoryError;
+use tokio::task::JoinError;
 
 use crate::config::{ConfigError, suggestion_or};
 use crate::keys::MakeKeysError;
@@ -134,6 +135,12 @@ impl From<WatchError> for Failure {
             WatchError::Bus(error) => error.into(),
             WatchError::Terminal(_) | WatchError::Panic(_) => Self::Service(error.into()),
         }
+    }
+}
+
+impl From<JoinError> for Failure {
+    fn from(panic: JoinError) -> Self {
+        Self::Service(panic.into())
     }
 }
 

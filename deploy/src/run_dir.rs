@@ -22,9 +22,11 @@ use crate::shell;
 /// The existing folder of a run; no other process learns in it until this is dropped.
 #[derive(Debug)]
 pub(crate) struct RunDir {
-    paths: RunPaths,
+    /// The paths of the files in the folder.
+    pub(crate) paths: RunPaths,
     is_new: bool,
-    preset: Option<String>,
+    /// The preset that the run was started with, if it used a preset alone.
+    pub(crate) preset: Option<String>,
     /// The operating system releases the lock when the process ends, for whatever reason.
     _lock: File,
 }
@@ -247,7 +249,11 @@ impl RunDir {
         let preset = preset.map(|preset| preset.name.to_owned()).or(before);
         let meta = Meta {
             lodestone_version: env!("CARGO_PKG_VERSION"),
-            command: std::env::args_os().map(|argument| argument.to_string_lossy().into_owned()).collect(),
+            // Without the flag by which a sweep ends its trainings: by hand, it would end them at once.
+            command: std::env::args_os()
+                .map(|argument| argument.to_string_lossy().into_owned())
+                .filter(|argument| argument != "--end-with-stdin")
+                .collect(),
             started_utc: utc(SystemTime::now()),
             preset: preset.as_deref(),
             seed: config.seed,
@@ -288,16 +294,6 @@ impl RunDir {
     pub(crate) fn path(&self) -> &Path {
         self.paths.folder()
     }
-
-    /// The preset that the run was started with, if it used a preset alone.
-    pub(crate) fn preset(&self) -> Option<&str> {
-        self.preset.as_deref()
-    }
-
-    /// The paths of the files in the folder.
-    pub(crate) fn paths(&self) -> &RunPaths {
-        &self.paths
-    }
 }
 
 /// For `map_err`: adds the name of the folder.
@@ -308,9 +304,7 @@ fn unwritable(folder: &Path) -> impl Fn(io::Error) -> Failure {
 /// Formats a time after 1970 in UTC, for example `2026-01-31T08:05`.
 fn utc(time: SystemTime) -> String {
     let time = OffsetDateTime::from(time);
-    let month = u8::from(time.month());
-    let day = time.day();
-    format!("{:04}-{month:02}-{day:02}T{:02}:{:02}", time.year(), time.hour(), time.minute())
+    format!("{}T{:02}:{:02}", time.date(), time.hour(), time.minute())
 }
 
 #[cfg(test)]
@@ -385,7 +379,7 @@ mod tests {
         let preset = Preset::find("smoke").unwrap();
         drop(RunDir::create(Some(&path), &Config::default(), Some(preset), &Origin::default()).unwrap());
         let resumed = Origin { config: Some(path.clone()), checkpoint: None };
-        assert_eq!(start(&path, &resumed).unwrap().preset(), Some("smoke"));
+        assert_eq!(start(&path, &resumed).unwrap().preset.as_deref(), Some("smoke"));
         assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("smoke"));
         fs::write(RunPaths::new(&path).meta(), "{}").unwrap();
         assert_eq!(preset_of(&RunPaths::new(&path)), None);

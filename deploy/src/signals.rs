@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::exit::{Failure, INTERRUPTED};
@@ -19,23 +19,27 @@ const LAST_LINE: Duration = Duration::from_millis(200);
 /// gone, counts unless the process was started to ignore it (`nohup`).
 pub(crate) fn cancel_on_signal(shutdown: CancellationToken) -> Result<(), Failure> {
     let handler = |kind| signal(kind).map_err(|error| Failure::Service(anyhow::Error::from(error)));
-    let mut signals = Signals {
-        interrupt: handler(SignalKind::interrupt())?,
-        terminate: handler(SignalKind::terminate())?,
-        hangup: if ignores_hangup() { None } else { Some(handler(SignalKind::hangup())?) },
-    };
+    let (mut interrupt, mut terminate) = (handler(SignalKind::interrupt())?, handler(SignalKind::terminate())?);
+    let mut hangup = if ignores_hangup() { None } else { Some(handler(SignalKind::hangup())?) };
     tokio::spawn(async move {
-        signals.next().await;
+        let mut next = async || {
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+                Some(_) = async { hangup.as_mut()?.recv().await } => {}
+            }
+        };
+        next().await;
         shutdown.cancel();
         // On threads of their own, because a terminal that nobody reads (Ctrl-S) blocks whoever writes to it.
         drop(tokio::task::spawn_blocking(|| tracing::info!("stopping; press Ctrl-C again to end at once")));
         let echoes = async {
             loop {
-                signals.next().await;
+                next().await;
             }
         };
         let _: Result<(), _> = tokio::time::timeout(ECHO, echoes).await;
-        signals.next().await;
+        next().await;
         let last_line = tokio::task::spawn_blocking(|| tracing::warn!("ended by a second signal"));
         drop(tokio::time::timeout(LAST_LINE, last_line).await);
         #[expect(clippy::disallowed_methods, reason = "this is the way out when draining hangs")]
@@ -51,24 +55,6 @@ pub(crate) fn cancel_with_stdin(shutdown: CancellationToken) {
         drop(io::copy(&mut io::stdin(), &mut io::sink()));
         shutdown.cancel();
     });
-}
-
-/// The signals that end a process.
-struct Signals {
-    interrupt: Signal,
-    terminate: Signal,
-    hangup: Option<Signal>,
-}
-
-impl Signals {
-    /// Waits for any of them.
-    async fn next(&mut self) {
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
-            Some(_) = async { self.hangup.as_mut()?.recv().await } => {}
-        }
-    }
 }
 
 /// Whether the process was started to ignore SIGHUP. Where this is unknown (no `/proc`), the signal is left as it is.

@@ -5,9 +5,9 @@ use nalgebra::{Isometry3, Vector3};
 use proto::{Joint, Pose};
 
 use crate::config::MagnetConfig;
-use crate::connections::{block_array, relative_along};
+use crate::connections::relative_along;
 use crate::convert::from_pose;
-use crate::magnets::{Frame, MagnetPair, MagnetTable};
+use crate::magnets::{Frame, MagnetTable};
 use crate::reset::Layout;
 
 /// Maximum depth of an overlap with another block and with the ground, m. Blocks that are driven into each other at full
@@ -109,7 +109,7 @@ impl Arrangement {
             check_pose(block.into(), pose)?;
         }
         let poses = self.poses.each_ref().map(from_pose);
-        let boxes = block_array(|block| Solid::new(block, &poses[block.get()]));
+        let boxes = BlockIdx::array(|block| Solid::new(block, &poses[block.get()]));
         for a in BlockIdx::all() {
             let depth_m = boxes[a.get()].shadow(&Vector3::z()) - poses[a.get()].translation.z;
             if depth_m > MAX_DEPTH_M {
@@ -133,12 +133,7 @@ impl Arrangement {
         for &(one, other) in &self.connections {
             let (a, b) = (one.min(other), one.max(other));
             let (pose_a, pose_b) = (&poses[a.get()], &poses[b.get()]);
-            let mut nearest: Option<MagnetPair> = None;
-            table.for_each_pair((a, &Frame::new(pose_a)), (b, &Frame::new(pose_b)), MAX_GAP_M, |pair| {
-                if nearest.is_none_or(|best| pair.distance < best.distance) {
-                    nearest = Some(pair);
-                }
-            });
+            let nearest = table.for_each_pair((a, &Frame::new(pose_a)), (b, &Frame::new(pose_b)), MAX_GAP_M, |_| {});
             let relative = nearest.filter(|_| a != b).and_then(|pair| pair.snap(pose_a, pose_b, &limits));
             let relative = relative.ok_or(ArrangementError::Apart { a: a.into(), b: b.into() })?;
             let is_repeated = joints.iter().any(|joint| (joint.a, joint.b) == (a, b));

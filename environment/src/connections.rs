@@ -1,5 +1,6 @@
 //! Connections between blocks: attraction, snapping, load, and breaking.
 
+use blueprints::pieces::pieces;
 use blueprints::strength::MAX_STRONG_PAIRS;
 use blueprints::{BlockIdx, Inventory, N_BLOCKS, Placement, RelativePlacement};
 use nalgebra::{Isometry3, Vector3};
@@ -7,7 +8,7 @@ use proto::Joint;
 
 use crate::config::MagnetConfig;
 use crate::engine::{Engine, JointHandle, SUBSTEP_S};
-use crate::magnets::{ATTRACTION_RANGE_M, Frame, MagnetPair, MagnetTable, magnet_position_m};
+use crate::magnets::{ATTRACTION_RANGE_M, Frame, MagnetTable, magnet_position_m};
 
 mod effort;
 
@@ -26,11 +27,11 @@ const MEASURED_MS: f32 = 50.0;
 
 /// A live connection.
 #[derive(Clone)]
-struct Connection {
+pub(crate) struct Connection {
     joint: Joint,
     /// Target pose of its second block relative to the first.
     b_in_a: Isometry3<f32>,
-    handle: JointHandle,
+    pub(crate) handle: JointHandle,
     /// Number of magnet pairs that count toward its strength.
     n_strong_pairs: f32,
     /// Substeps left of the initial unbreakable period, during which a joint is soft after a snap.
@@ -38,20 +39,20 @@ struct Connection {
     /// Running mean of its load; the connection breaks above 1.
     load: f32,
     /// Whether its joint is left out of the solver because it carries no load.
-    is_spared: bool,
+    pub(crate) is_spared: bool,
 }
 
 /// All connections of a world.
 #[derive(Clone)]
 pub(crate) struct Connections {
-    table: MagnetTable,
+    pub(crate) table: MagnetTable,
     config: MagnetConfig,
-    live: Vec<Connection>,
+    pub(crate) live: Vec<Connection>,
     /// Substeps for which a pair of blocks stays inert after a break, indexed `[lower][higher]`.
     cooldown: [[u16; N_BLOCKS]; N_BLOCKS],
     linked: [[bool; N_BLOCKS]; N_BLOCKS],
     /// Lowest block index in each block's component.
-    components: [usize; N_BLOCKS],
+    components: Vec<usize>,
     /// Poses of the blocks before the substep.
     frames: [Frame; N_BLOCKS],
 }
@@ -64,7 +65,7 @@ impl Connections {
             live: vec![],
             cooldown: [[0; N_BLOCKS]; N_BLOCKS],
             linked: [[false; N_BLOCKS]; N_BLOCKS],
-            components: std::array::from_fn(|i| i),
+            components: (0..N_BLOCKS).collect(),
             frames: [Frame::new(&Isometry3::identity()); N_BLOCKS],
         }
     }
@@ -89,16 +90,6 @@ impl Connections {
         joints
     }
 
-    #[cfg(test)]
-    pub(crate) fn handle(&self, index: usize) -> JointHandle {
-        self.live[index].handle
-    }
-
-    #[cfg(test)]
-    pub(crate) fn n_spared(&self) -> usize {
-        self.live.iter().filter(|c| c.is_spared).count()
-    }
-
     /// Returns whether connections join the two blocks, directly or through others.
     pub(crate) fn same_component(&self, a: BlockIdx, b: BlockIdx) -> bool {
         self.components[a.get()] == self.components[b.get()]
@@ -110,10 +101,10 @@ impl Connections {
         for row in &mut self.cooldown {
             row.iter_mut().for_each(|left| *left = left.saturating_sub(n_merged));
         }
-        let poses: [Isometry3<f32>; N_BLOCKS] = block_array(|block| engine.pose(block));
+        let poses: [Isometry3<f32>; N_BLOCKS] = BlockIdx::array(|block| engine.pose(block));
         let frames = poses.each_ref().map(Frame::new);
         self.frames = frames;
-        let asleep = block_array(|block| engine.is_asleep(block));
+        let asleep = BlockIdx::array(|block| engine.is_asleep(block));
         let reach = ATTRACTION_RANGE_M.max(self.config.snap_gap_m);
         for a in BlockIdx::all() {
             for b in BlockIdx::all().skip(a.get() + 1) {
@@ -201,12 +192,8 @@ impl Connections {
         (b, pose_b, frame_b): (BlockIdx, &Isometry3<f32>, &Frame),
         reach: f32,
     ) {
-        let mut nearest: Option<MagnetPair> = None;
         let substep_s = engine.substep_s();
-        self.table.for_each_pair((a, frame_a), (b, frame_b), reach, |pair| {
-            if nearest.is_none_or(|best| pair.distance < best.distance) {
-                nearest = Some(pair);
-            }
+        let nearest = self.table.for_each_pair((a, frame_a), (b, frame_b), reach, |pair| {
             let impulse = pair.attraction() * substep_s;
             engine.apply_impulse(a, -impulse, pair.point_a);
             engine.apply_impulse(b, impulse, pair.point_b);
@@ -241,14 +228,10 @@ impl Connections {
     }
 
     fn regroup(&mut self) {
+        let pairs = self.live.iter().map(|c| (c.joint.a.get(), c.joint.b.get()));
         self.linked = [[false; N_BLOCKS]; N_BLOCKS];
-        self.components = std::array::from_fn(|i| i);
-        for connection in &self.live {
-            let (a, b) = (connection.joint.a.get(), connection.joint.b.get());
-            self.linked[a][b] = true;
-            let (keep, drop) = (self.components[a].min(self.components[b]), self.components[a].max(self.components[b]));
-            self.components.iter_mut().filter(|c| **c == drop).for_each(|c| *c = keep);
-        }
+        pairs.clone().for_each(|(a, b)| self.linked[a][b] = true);
+        self.components = pieces(N_BLOCKS, pairs);
     }
 }
 
@@ -291,10 +274,4 @@ pub(crate) fn relative_along(
 /// Returns the number of substeps in a time.
 fn substeps(ms: f32) -> u16 {
     (ms / (SUBSTEP_S * 1000.0)).round() as u16
-}
-
-/// Returns an array with one value per block.
-pub(crate) fn block_array<T>(mut f: impl FnMut(BlockIdx) -> T) -> [T; N_BLOCKS] {
-    let mut blocks = BlockIdx::all();
-    std::array::from_fn(|_| f(blocks.next().expect("there are N_BLOCKS blocks")))
 }

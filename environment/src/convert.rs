@@ -26,13 +26,10 @@ pub(crate) fn pose_from_rapier(pose: &math::Pose) -> Isometry3<f32> {
 
 /// Converts to the pose type of messages.
 pub(crate) fn to_pose(pose: &Isometry3<f32>) -> Pose {
-    let q = pose.rotation;
-    Pose { position: pose.translation.vector.into(), orientation: [q.i, q.j, q.k, q.w] }
+    Pose { position: pose.translation.vector.into(), orientation: pose.rotation.coords.into() }
 }
 
 /// Converts from the pose type of messages. Normalizes the quaternion, which may be off by rounding.
 pub(crate) fn from_pose(pose: &Pose) -> Isometry3<f32> {
-    let [x, y, z, w] = pose.orientation;
-    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-    Isometry3::from_parts(Translation3::from(Vector3::from(pose.position)), rotation)
+    Isometry3::from_parts(pose.position.into(), UnitQuaternion::new_normalize(pose.orientation.into()))
 }

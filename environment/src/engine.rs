@@ -88,14 +88,10 @@ pub(crate) struct Engine {
 }
 
 /// Velocity of a rigid body in the world frame: linear (of its center) and angular.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Velocity {
     pub(crate) linear: Vector3<f32>,
     pub(crate) angular: Vector3<f32>,
-}
-
-impl Velocity {
-    pub(crate) const STILL: Self = Self { linear: Vector3::new(0.0, 0.0, 0.0), angular: Vector3::new(0.0, 0.0, 0.0) };
 }
 
 impl Bodies {
@@ -135,8 +131,7 @@ impl Engine {
             template.bodies.insert(RigidBodyBuilder::fixed().translation(to_rapier(Vector3::new(0.0, 0.0, -z))));
         let collider = ColliderBuilder::cuboid(x, y, z).friction(physics.friction);
         template.colliders.insert_with_parent(collider, ground, &mut template.bodies);
-        let blocks: Vec<_> =
-            BlockIdx::all().map(|block| template.add_block(block, inventory.half_extents_m(block), physics)).collect();
+        let handles = BlockIdx::array(|block| template.add_block(block, inventory.half_extents_m(block), physics));
         let parameters = IntegrationParameters {
             dt: SUBSTEP_S,
             // The engine's tolerances are fractions of this length; at 1, they are huge for a 10 cm block.
@@ -158,7 +153,7 @@ impl Engine {
             ccd: CCDSolver::new(),
             now: template.clone(),
             template,
-            handles: std::array::from_fn(|i| blocks[i]),
+            handles,
             ground,
             n_merged: 1,
             n_substeps: 0,
@@ -319,18 +314,17 @@ impl Engine {
     /// Inserts a force-limited motor between the ground and the block's center.
     pub(crate) fn insert_motor(&mut self, block: BlockIdx, target: Velocity) -> JointHandle {
         let mut joint = GenericJointBuilder::new(JointAxesMask::empty()).build();
-        let (linear, angular) = (target.linear, target.angular);
-        for (axis, velocity, damping, most) in [
-            (JointAxis::LinX, linear.x, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
-            (JointAxis::LinY, linear.y, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
-            (JointAxis::LinZ, linear.z, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
-            (JointAxis::AngX, angular.x, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
-            (JointAxis::AngY, angular.y, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
-            (JointAxis::AngZ, angular.z, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
+        let linear = [JointAxis::LinX, JointAxis::LinY, JointAxis::LinZ];
+        let angular = [JointAxis::AngX, JointAxis::AngY, JointAxis::AngZ];
+        for (axes, velocity, damping, most) in [
+            (linear, target.linear, MOTOR_DAMPING_NSPM, MOTOR_FORCE_N),
+            (angular, target.angular, MOTOR_ANGULAR_DAMPING_NMSPRAD, MOTOR_TORQUE_NM),
         ] {
-            joint.set_motor_velocity(axis, velocity, damping);
-            joint.set_motor_model(axis, MotorModel::ForceBased);
-            joint.set_motor_max_force(axis, most);
+            for (axis, &velocity) in axes.into_iter().zip(&velocity) {
+                joint.set_motor_velocity(axis, velocity, damping);
+                joint.set_motor_model(axis, MotorModel::ForceBased);
+                joint.set_motor_max_force(axis, most);
+            }
         }
         self.now.joints.insert(self.ground, self.handles[block.get()], joint, true)
     }

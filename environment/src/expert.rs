@@ -167,11 +167,8 @@ impl Expert {
     fn settle(&self, view: &View, base: &Base) -> Option<Command> {
         let lies = self.unrest(&base.frame, base.side) <= 1.0;
         let gripped = self.gripped(view, base.parts);
-        let fetching = view
-            .held
-            .iter()
-            .flatten()
-            .any(|&block| view.part_of[block.get()].is_some_and(|part| !base.parts.contains(part)));
+        let is_fetched = |block: &BlockIdx| view.part_of[block.get()].is_some_and(|part| !base.parts.contains(part));
+        let fetching = view.held.iter().flatten().any(is_fetched);
         // Once blocks are on their way, the base stays, or it would flee from them.
         if lies && (fetching || base.parts.len() > 2) {
             return None;
@@ -222,11 +219,9 @@ impl Expert {
         }
         let any_block = || BlockIdx::all().next().expect("there are blocks");
         let shared = commands.first().map_or_else(any_block, |c| c.block);
-        for gripper in 0..self.n_grippers {
-            if action.choices[gripper].is_none() {
-                let block = if open.is_empty() { shared } else { open.remove(0).block };
-                action.choices[gripper] = Some(block);
-            }
+        let mut open = open.into_iter();
+        for choice in action.choices.iter_mut().take(self.n_grippers).filter(|choice| choice.is_none()) {
+            *choice = Some(open.next().map_or(shared, |command| command.block));
         }
         for command in commands {
             let frame = &view.pose(command.block).rotation;

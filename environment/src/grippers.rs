@@ -9,7 +9,7 @@ use crate::connections::Connections;
 use crate::engine::{Engine, JointHandle, Velocity};
 
 /// One gripper.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 struct State {
     /// The last chosen block; choosing another one is a switch.
     target: Option<BlockIdx>,
@@ -30,17 +30,10 @@ pub(crate) struct Grippers {
     delay_steps: u8,
 }
 
-impl State {
-    fn idle() -> Self {
-        let orientation = UnitQuaternion::identity();
-        Self { target: None, delay_left: 0, held: None, command: Velocity::STILL, orientation, motor: None }
-    }
-}
-
 impl Grippers {
     pub(crate) fn new(config: &EnvironmentConfig) -> Self {
         Self {
-            states: vec![State::idle(); usize::from(config.n_grippers).min(N_GRIPPERS)],
+            states: vec![State::default(); usize::from(config.n_grippers).min(N_GRIPPERS)],
             max_speed_mps: config.max_speed_mps,
             max_turn_radps: config.max_turn_radps,
             delay_steps: config.transition_delay_steps,
@@ -49,7 +42,7 @@ impl Grippers {
 
     /// Releases all blocks and resets all state. The engine's joints must already be gone.
     pub(crate) fn clear(&mut self) {
-        self.states.fill(State::idle());
+        self.states.fill(State::default());
     }
 
     /// Releases all blocks in a world that continues.
@@ -62,7 +55,7 @@ impl Grippers {
     /// Releases a block for the rest of the step.
     pub(crate) fn let_go(&mut self, block: BlockIdx) {
         for state in self.states.iter_mut().filter(|state| state.held == Some(block)) {
-            (state.held, state.command) = (None, Velocity::STILL);
+            (state.held, state.command) = (None, Velocity::default());
         }
     }
 
@@ -79,7 +72,7 @@ impl Grippers {
             }
             state.held = if state.delay_left == 0 { choice } else { None };
             state.delay_left = state.delay_left.saturating_sub(1);
-            state.command = Velocity::STILL;
+            state.command = Velocity::default();
             if let Some(block) = state.held {
                 let entry = |i: usize| action.moves[block.get()][i].clamp(-1.0, 1.0);
                 let rotation = engine.pose(block).rotation;
@@ -131,14 +124,11 @@ impl Grippers {
             }
         }
         std::array::from_fn(|i| {
-            self.states.get(i).map(|state| {
-                let q = state.orientation;
-                Gripper {
-                    held: state.held,
-                    orientation: [q.i, q.j, q.k, q.w],
-                    linear_velocity: state.command.linear.into(),
-                    angular_velocity: state.command.angular.into(),
-                }
+            self.states.get(i).map(|state| Gripper {
+                held: state.held,
+                orientation: state.orientation.coords.into(),
+                linear_velocity: state.command.linear.into(),
+                angular_velocity: state.command.angular.into(),
             })
         })
     }

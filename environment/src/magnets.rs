@@ -57,16 +57,11 @@ impl Frame {
 
 impl MagnetTable {
     pub(crate) fn new(inventory: &Inventory) -> Self {
-        let blocks: Vec<_> = BlockIdx::all().collect();
-        let half_extents = std::array::from_fn(|i| Vector3::from(inventory.half_extents_m(blocks[i])));
-        let faces = std::array::from_fn(|i| {
-            std::array::from_fn(|face| {
-                let on_face = |m: &&Magnet| face_of(m) == face;
-                let magnets = inventory.magnets(blocks[i]).iter().filter(on_face);
-                magnets
-                    .map(|m| LocalMagnet { position_m: magnet_position_m(m), half_units: m.position_half_units })
-                    .collect()
-            })
+        let half_extents = BlockIdx::array(|block| Vector3::from(inventory.half_extents_m(block)));
+        let local = |m: &Magnet| LocalMagnet { position_m: magnet_position_m(m), half_units: m.position_half_units };
+        let faces = BlockIdx::array(|block| {
+            let magnets = inventory.magnets(block).iter();
+            std::array::from_fn(|face| magnets.clone().filter(|m| face_of(m) == face).map(local).collect())
         });
         Self { half_extents, radii: half_extents.map(|h| h.norm()), faces }
     }
@@ -105,14 +100,15 @@ impl MagnetTable {
         })
     }
 
-    /// Calls `f` for every pair of opposite magnets on opposed faces that are within `reach` meters.
+    /// Calls `f` for every pair of opposite magnets on opposed faces that are within `reach` meters. Returns the nearest.
     pub(crate) fn for_each_pair(
         &self,
         (a, frame_a): (BlockIdx, &Frame),
         (b, frame_b): (BlockIdx, &Frame),
         reach: f32,
         mut f: impl FnMut(MagnetPair),
-    ) {
+    ) -> Option<MagnetPair> {
+        let mut nearest: Option<MagnetPair> = None;
         let relative = frame_a.rotation.tr_mul(&frame_b.rotation);
         let offset = frame_a.rotation.tr_mul(&(frame_b.position - frame_a.position));
         for (k, j) in (0..9).map(|i| (i / 3, i % 3)) {
@@ -126,17 +122,20 @@ impl MagnetTable {
                     for magnet_a in &self.faces[a.get()][face_a] {
                         let distance_squared = (seen_from_a - magnet_a.position_m).norm_squared();
                         if distance_squared <= reach * reach {
-                            f(MagnetPair {
+                            let pair = MagnetPair {
                                 point_a: frame_a.position + frame_a.rotation * magnet_a.position_m,
                                 point_b: frame_a.position + frame_a.rotation * seen_from_a,
                                 distance: distance_squared.sqrt(),
                                 local: [magnet_a.half_units, magnet_b.half_units],
-                            });
+                            };
+                            nearest = nearest.filter(|best| best.distance <= pair.distance).or(Some(pair));
+                            f(pair);
                         }
                     }
                 }
             }
         }
+        nearest
     }
 }
 

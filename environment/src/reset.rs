@@ -43,7 +43,7 @@ pub(crate) struct Layout {
 /// A policy sees slot numbers. Shuffling identical blocks in every episode keeps it from relying on them.
 pub fn sample_assignment(rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
     let inventory = Inventory::standard();
-    let mut assignment = crate::connections::block_array(|block| block);
+    let mut assignment = BlockIdx::array(|block| block);
     for block_type in inventory.types() {
         let slots = inventory.blocks_of_type(&block_type.name);
         let mut players = slots.clone();

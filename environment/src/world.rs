@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::arrangement::{Arrangement, ArrangementError, RUNAWAY_M, raised};
 use crate::config::{EnvironmentConfig, PhysicsConfig};
-use crate::connections::{Connections, block_array};
+use crate::connections::Connections;
 use crate::convert::to_pose;
 use crate::engine::{Engine, SUBSTEP_S, Velocity};
 use crate::env::{Env, ResetError, StepResult};
@@ -41,8 +41,7 @@ const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
 ///
 /// let config = proto::Valid::<EnvironmentConfig>::default();
 /// let mut world = World::new(&config);
-/// let blocks: Vec<BlockIdx> = BlockIdx::all().collect();
-/// let assignment = blocks.try_into().expect("16 blocks");
+/// let assignment = BlockIdx::array(|block| block);
 /// let task = Task { blueprint: "2_000".parse()?, assignment, start: Start::Scattered, seed: 1 };
 /// world.reset(&task, Catalog::builtin())?;
 /// let mut expert = Expert::new(&config, world.blueprint())?;
@@ -53,9 +52,9 @@ const HEAVY_CONTACT_CUBE_WEIGHTS: f32 = 10.0;
 #[derive(Clone)]
 pub struct World {
     config: Valid<EnvironmentConfig>,
-    engine: Engine,
-    connections: Connections,
-    grippers: Grippers,
+    pub(crate) engine: Engine,
+    pub(crate) connections: Connections,
+    pub(crate) grippers: Grippers,
     blueprint: Blueprint,
     scene: Scene,
     potential: RewardTerms,
@@ -64,7 +63,6 @@ pub struct World {
     alive: bool,
     /// Force above which a contact is heavy in this episode, N.
     heavy_contact_n: f32,
-    half_diagonals_m: [f32; N_BLOCKS],
     /// What somebody outside does to the blocks, by the steps of an episode.
     disturbances: Vec<(u16, Disturbance)>,
     /// Number of episodes to begin before they apply.
@@ -77,7 +75,7 @@ impl World {
         let inventory = Inventory::standard();
         let engine = Engine::new(&config.physics, inventory);
         let mut world = Self {
-            scene: Scene::at_rest(block_array(|block| to_pose(&engine.pose(block)))),
+            scene: Scene::at_rest(BlockIdx::array(|block| to_pose(&engine.pose(block)))),
             engine,
             connections: Connections::new(&config.magnets, inventory),
             grippers: Grippers::new(config),
@@ -86,7 +84,6 @@ impl World {
             n_steps: 0,
             alive: false,
             heavy_contact_n: heavy_contact_n(&config.physics),
-            half_diagonals_m: block_array(|block| Vector3::from(inventory.half_extents_m(block)).norm()),
             disturbances: Vec::new(),
             n_calm: 0,
             config: config.clone(),
@@ -125,10 +122,10 @@ impl World {
         self.grippers.let_go(block);
         if disturbance.displacement_m() != [0.0; 3] {
             self.connections.detach(&mut self.engine, block);
-            let mut poses = block_array(|block| self.engine.pose(block));
+            let mut poses = BlockIdx::array(|block| self.engine.pose(block));
             poses[block.get()].translation.vector += Vector3::from(disturbance.displacement_m());
             self.engine.set_pose(block, &raised(&poses, block));
-            velocity = Velocity::STILL;
+            velocity = Velocity::default();
         }
         self.engine.set_velocity(block, Velocity { linear: velocity.linear + push, ..velocity });
     }
@@ -142,7 +139,7 @@ impl World {
         self.heavy_contact_n = heavy_contact_n(&config.physics);
     }
 
-    fn place(&mut self, layout: &Layout) {
+    pub(crate) fn place(&mut self, layout: &Layout) {
         self.engine.reset(&layout.poses);
         self.connections.clear();
         self.grippers.clear();
@@ -167,11 +164,7 @@ impl World {
             let n_merged = if self.connections.may_merge(&self.engine) { MAX_MERGED.min(n_left) } else { 1 };
             n_left -= n_merged;
             self.engine.merge(n_merged);
-            self.connections.attract(&mut self.engine);
-            let carried = self.grippers.drive(&mut self.engine, &self.connections);
-            self.connections.spare(&mut self.engine, carried);
-            self.engine.substep();
-            self.connections.strain(&mut self.engine);
+            self.substep();
             self.engine.for_each_contact(self.heavy_contact_n, |bodies| {
                 let [low, high] = bodies.map(|body| body.map_or(N_BLOCKS, BlockIdx::get));
                 heavy[low.min(high)] |= 1 << low.max(high);
@@ -180,13 +173,22 @@ impl World {
         heavy.iter().map(|row| row.count_ones() as u8).sum()
     }
 
+    /// Runs one substep, of the length that the engine is set to.
+    pub(crate) fn substep(&mut self) {
+        self.connections.attract(&mut self.engine);
+        let carried = self.grippers.drive(&mut self.engine, &self.connections);
+        self.connections.spare(&mut self.engine, carried);
+        self.engine.substep();
+        self.connections.strain(&mut self.engine);
+    }
+
     /// Updates the scene.
     fn observe(&mut self, n_heavy_contacts: u8) {
         for block in BlockIdx::all() {
             let i = block.get();
-            let velocity = self.engine.velocity(block);
+            let Velocity { linear, angular } = self.engine.velocity(block);
             self.scene.blocks[i] = to_pose(&self.engine.pose(block));
-            self.scene.speeds_mps[i] = velocity.linear.norm() + velocity.angular.norm() * self.half_diagonals_m[i];
+            self.scene.speeds_mps[i] = linear.norm() + angular.norm() * self.connections.table.radius(block);
         }
         self.scene.joints = self.connections.joints();
         self.scene.grippers = self.grippers.snapshot(&self.engine);

@@ -12,14 +12,21 @@ use proptest::prelude::*;
 use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task, Valid};
 
 fn task(blueprint: &Blueprint, start: Start, seed: u64) -> Task {
-    let assignment = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
-    Task { blueprint: blueprint.id().clone(), assignment, start, seed }
+    Task { blueprint: blueprint.id().clone(), assignment: BlockIdx::array(|block| block), start, seed }
 }
 
 fn world(change: impl Fn(&mut EnvironmentConfig)) -> World {
     let mut config = EnvironmentConfig::default();
     change(&mut config);
     World::new(&Valid::new(config).unwrap())
+}
+
+/// Returns a world whose blocks are scattered.
+fn scattered(change: impl Fn(&mut EnvironmentConfig), seed: u64) -> World {
+    let mut world = world(change);
+    let goal = Catalog::builtin().iter().next().unwrap();
+    world.reset(&task(goal, Start::Scattered, seed), Catalog::builtin()).unwrap();
+    world
 }
 
 fn block(index: u8) -> BlockIdx {
@@ -37,7 +44,7 @@ fn goal_scene(blueprint: &Blueprint) -> Scene {
     };
     Scene {
         joints: blueprint.links().iter().map(|l| Joint { a: l.a, b: l.b, relative: l.relative }).collect(),
-        ..Scene::at_rest(std::array::from_fn(|i| pose(block(i as u8))))
+        ..Scene::at_rest(BlockIdx::array(pose))
     }
 }
 
@@ -221,10 +228,8 @@ fn a_near_goal_start_lacks_what_was_taken_off() {
 
 #[test]
 fn a_scattered_start_stays_as_it_is() {
-    let goal = Catalog::builtin().iter().next().unwrap();
     for seed in 0..30 {
-        let mut world = world(|_| ());
-        world.reset(&task(goal, Start::Scattered, seed), Catalog::builtin()).unwrap();
+        let mut world = scattered(|_| (), seed);
         let before = world.scene().blocks;
         (0..10).for_each(|_| {
             world.step(&Action::IDLE);
@@ -239,9 +244,7 @@ fn a_scattered_start_stays_as_it_is() {
 
 #[test]
 fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
-    let goal = Catalog::builtin().iter().next().unwrap();
-    let mut world = world(|_| ());
-    world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
+    let mut world = scattered(|_| (), 4);
     let before = world.scene().blocks[0];
     let [i, j, k, w] = before.orientation;
     let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
@@ -261,9 +264,7 @@ fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
 
 #[test]
 fn a_switch_disables_the_gripper_for_the_delay() {
-    let goal = Catalog::builtin().iter().next().unwrap();
-    let mut world = world(|c| c.transition_delay_steps = 2);
-    world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
+    let mut world = scattered(|c| c.transition_delay_steps = 2, 4);
     let held: Vec<_> = [0, 0, 1, 1, 1, 1]
         .map(|b| {
             world.step(&Action { choices: [Some(block(b)), None], ..Action::IDLE });
@@ -275,9 +276,7 @@ fn a_switch_disables_the_gripper_for_the_delay() {
 
 #[test]
 fn a_single_gripper_world_ignores_the_second_choice() {
-    let goal = Catalog::builtin().iter().next().unwrap();
-    let mut world = world(|c| c.n_grippers = 1);
-    world.reset(&task(goal, Start::Scattered, 4), Catalog::builtin()).unwrap();
+    let mut world = scattered(|c| c.n_grippers = 1, 4);
     let before = world.scene().blocks[3].position;
     world.step(&Action { choices: [None, Some(block(3))], moves: [[1.0; 6]; N_BLOCKS] });
     assert_eq!(world.scene().grippers[1], None);

@@ -131,9 +131,15 @@ impl Evaluations {
             greedy: counts(evaluation, 0),
             sampled: counts(evaluation, 1),
         });
+        let blueprints = rows.iter().map(|&row| BlueprintView {
+            id: row.id.as_str(),
+            split: row.split.to_string(),
+            n_blocks: row.n_blocks,
+            group: usize::try_from(row.n_blocks).ok().and_then(|n| Group::of(row.split, n)).map(Group::name),
+        });
         Overview {
             schema_version: SCHEMA_VERSION,
-            blueprints: rows.iter().map(|row| BlueprintView::new(row)).collect(),
+            blueprints: blueprints.collect(),
             n_left_out: self.n_left_out,
             evaluations: evaluations.collect(),
         }
@@ -178,14 +184,6 @@ impl GroupView {
             total.map(|[hits, n]| SuccessRate::new(hits, n))
         };
         Self { name, n_blueprints: counts.len(), greedy: sum(0), sampled: sum(1) }
-    }
-}
-
-impl<'p> BlueprintView<'p> {
-    fn new(row: &'p Row) -> Self {
-        let n_blocks = usize::try_from(row.n_blocks).ok();
-        let group = n_blocks.and_then(|n_blocks| Group::of(row.split, n_blocks)).map(Group::name);
-        Self { id: row.id.as_str(), split: row.split.to_string(), n_blocks: row.n_blocks, group }
     }
 }
 

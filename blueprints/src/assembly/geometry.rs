@@ -26,14 +26,14 @@ pub struct Approach {
 /// The parts as boxes in half units.
 #[derive(Clone, Debug)]
 pub(super) struct Geometry {
-    boxes: Vec<Box3>,
+    pub(super) boxes: Vec<Box3>,
     /// For each part and direction (+x −x +y −y +z −z), the parts whose face in that direction touches it: if part `j`
     /// is in `contacts[i][d]`, then `i` lies in direction `d` from `j`.
     contacts: Vec<[Parts; 6]>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Box3 {
+pub(super) struct Box3 {
     low: [i32; 3],
     high: [i32; 3],
 }
@@ -77,12 +77,6 @@ impl Parts {
         Self(self.0 | other.0)
     }
 
-    /// Returns the intersection of the two sets.
-    #[must_use]
-    pub fn intersection(self, other: Self) -> Self {
-        Self(self.0 & other.0)
-    }
-
     /// Returns the parts that are not in `other`.
     #[must_use]
     pub fn without(self, other: Self) -> Self {
@@ -114,16 +108,6 @@ impl Geometry {
 
     pub(super) fn all(&self) -> Parts {
         Parts::first(self.boxes.len())
-    }
-
-    /// Returns a part's volume in eighths of a cell.
-    pub(super) fn volume(&self, part: usize) -> i32 {
-        self.boxes[part].volume()
-    }
-
-    /// Returns the lowest point of a part along `up`, in half units.
-    pub(super) fn bottom(&self, part: usize, up: [i32; 3]) -> i32 {
-        self.boxes[part].bottom(up)
     }
 
     /// Returns the lowest point of the finished structure along `up`, in half units.
@@ -189,7 +173,7 @@ impl Geometry {
         let mut sides = [false; 6];
         for part in group.iter() {
             for (side, others) in sides.iter_mut().zip(&self.contacts[part]) {
-                *side |= !others.intersection(placed).is_empty();
+                *side |= others.without(placed) != *others;
             }
         }
         sides
@@ -203,7 +187,7 @@ impl Geometry {
         }
         let away: [i32; 3] = std::array::from_fn(|axis| i32::from(sides[2 * axis]) - i32::from(sides[2 * axis + 1]));
         let mut ways: Vec<[i32; 3]> = Vec::with_capacity(6);
-        let is_up = |d: [i32; 3]| dot(d, up) > 0;
+        let is_up = |d: [i32; 3]| (0..3).map(|k| d[k] * up[k]).sum::<i32>() > 0;
         if is_up(away) {
             ways.push(away);
         } else {
@@ -248,11 +232,13 @@ impl Box3 {
         Self { low: corner(-1), high: corner(1) }
     }
 
-    fn volume(&self) -> i32 {
+    /// Returns the volume in eighths of a cell.
+    pub(super) fn volume(&self) -> i32 {
         (0..3).map(|k| self.high[k] - self.low[k]).product()
     }
 
-    fn bottom(&self, up: [i32; 3]) -> i32 {
+    /// Returns the lowest point along `up`, in half units.
+    pub(super) fn bottom(&self, up: [i32; 3]) -> i32 {
         let axis = axis_of(up);
         if up[axis] > 0 { self.low[axis] } else { -self.high[axis] }
     }
@@ -284,26 +270,17 @@ impl Box3 {
     }
 }
 
-/// Returns whether faces touched on these sides leave no straight way out, except from below.
+/// Returns whether faces touched on these sides (+x −x +y −y +z −z) leave no straight way out, except from below.
 fn is_blocked(sides: [bool; 6], up: [i32; 3]) -> bool {
     let is_squeezed = (0..3).any(|axis| sides[2 * axis] && sides[2 * axis + 1]);
-    is_squeezed || sides[direction_idx(up.map(|x| -x))]
+    let axis = axis_of(up);
+    is_squeezed || sides[2 * axis + usize::from(up[axis] > 0)]
 }
 
 fn axis_of(direction: [i32; 3]) -> usize {
     direction.iter().position(|&x| x != 0).unwrap_or(0)
 }
 
-/// Returns the index of a unit direction in +x −x +y −y +z −z.
-fn direction_idx(direction: [i32; 3]) -> usize {
-    let axis = axis_of(direction);
-    2 * axis + usize::from(direction[axis] < 0)
-}
-
 fn add(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
     std::array::from_fn(|k| a[k] + b[k])
-}
-
-fn dot(a: [i32; 3], b: [i32; 3]) -> i32 {
-    (0..3).map(|k| a[k] * b[k]).sum()
 }

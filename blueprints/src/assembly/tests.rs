@@ -113,12 +113,11 @@ fn order(blueprint: &Blueprint) -> Vec<BlockIdx> {
 fn copies_on_other_blocks_have_the_same_plan() {
     for blueprint in Catalog::builtin().iter().step_by(11) {
         // Reverse the blocks of each type.
-        let mut swapped: [BlockIdx; crate::N_BLOCKS] = std::array::from_fn(|i| BlockIdx::try_from(i as u8).unwrap());
-        for block in BlockIdx::all() {
+        let swapped = BlockIdx::array(|block| {
             let same: Vec<BlockIdx> = crate::Inventory::standard().same_type(block).collect();
             let place = same.iter().position(|other| *other == block).unwrap();
-            swapped[block.get()] = same[same.len() - 1 - place];
-        }
+            same[same.len() - 1 - place]
+        });
         let copy = blueprint.permuted(&swapped);
         let (plan, copied) = (blueprint.plan().unwrap(), copy.plan().unwrap());
         assert_eq!(plan, copied);

@@ -19,13 +19,10 @@ impl Parities {
     /// the others.
     pub(super) fn add(&mut self, mask: u64, value: bool) -> bool {
         let (mask, value) = self.reduced(mask, value);
-        match highest(mask) {
-            None => !value,
-            Some(at) => {
-                self.rows[at] = Some((mask, value));
-                true
-            }
-        }
+        // The highest of the unknowns.
+        let Some(at) = mask.checked_ilog2() else { return !value };
+        self.rows[at as usize] = Some((mask, value));
+        true
     }
 
     /// Returns whether the equations determine the sum of the unknowns in `mask`.
@@ -51,10 +48,6 @@ impl Parities {
         }
         (mask, value)
     }
-}
-
-fn highest(mask: u64) -> Option<usize> {
-    mask.checked_ilog2().map(|at| at as usize)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use proto::metrics::{EvalSummary, LearnerMetrics};
+use proto::metrics::{EvalOutcome, EvalSummary, LearnerMetrics};
 
 use super::proposals::{CHARTED, Look};
 
@@ -42,14 +42,9 @@ impl Trends {
 
     /// Records an evaluation that has ended. The first episodes of one say little.
     pub(super) fn evaluated(&mut self, summary: &EvalSummary) {
-        if !summary.is_complete {
-            return;
+        if summary.is_complete {
+            push(&mut self.evaluated, success_rate(&summary.all.greedy, &summary.all.sampled));
         }
-        let success = [&summary.all.greedy.success, &summary.all.sampled.success];
-        push(
-            &mut self.evaluated,
-            success.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate),
-        );
     }
 
     /// Returns the names and values, oldest first, of all trends that have values.
@@ -69,4 +64,11 @@ fn push(values: &mut VecDeque<f64>, value: Option<f64>) {
         values.pop_front();
     }
     values.push_back(value);
+}
+
+/// Returns the success rate with greedy actions, or with sampled ones if no greedy episodes were run, 0 to 1; `None`
+/// without episodes.
+pub fn success_rate(greedy: &EvalOutcome, sampled: &EvalOutcome) -> Option<f64> {
+    let rates = [&greedy.success, &sampled.success];
+    rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
 }

@@ -6,7 +6,6 @@ mod screen;
 mod view;
 
 use proto::Valid;
-use std::collections::BTreeSet;
 use std::convert::Infallible;
 use std::io::{self, IsTerminal};
 use std::time::{Duration, Instant};
@@ -247,9 +246,8 @@ async fn silent(link: Link, config: &Valid<BusConfig>, patience: Duration) -> Wa
     if link != Link::Connected {
         return WatchError::NoRouter { endpoints: config.connect.join(", "), seconds };
     }
-    let others = bus::runs(config).await.unwrap_or_else(|error| {
-        tracing::debug!(%error, "the router's runs cannot be listed");
-        BTreeSet::new()
-    });
+    let others = bus::runs(config).await;
+    let others = others.inspect_err(|error| tracing::debug!(%error, "the router's runs cannot be listed"));
+    let others = others.unwrap_or_default();
     WatchError::Silent { run: config.run.clone(), seconds, others: others.into_iter().collect() }
 }

@@ -50,20 +50,20 @@ pub(super) struct State {
 }
 
 /// Counts of what the page has dropped or refused so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct PageCounts {
     /// Metrics samples that were too large or exceeded the limit on keys.
-    pub(super) samples_dropped_total: u64,
+    pub(super) sample_too_large_or_many_total: u64,
     /// Browsers that were too slow to read their events.
-    pub(super) viewers_dropped_total: u64,
+    pub(super) browser_too_slow_total: u64,
     /// Connections that could not be accepted.
-    pub(super) connections_refused_total: u64,
+    pub(super) connection_refused_total: u64,
     /// Connections closed to make room for newer ones.
-    pub(super) connections_evicted_total: u64,
+    pub(super) connection_evicted_total: u64,
     /// Connections that exceeded their time limit.
-    pub(super) connections_expired_total: u64,
+    pub(super) connection_expired_total: u64,
     /// Requests without the token, with a foreign host name or two, or from another site.
-    pub(super) requests_refused_total: u64,
+    pub(super) request_refused_total: u64,
 }
 
 /// Learning metrics over time, thinned out.
@@ -131,7 +131,7 @@ impl Board {
             || state.latest.contains_key(&sample.suffix)
             || VITAL_KEYS.contains(&sample.suffix.as_str());
         if text.len() > MAX_SAMPLE_BYTES || !has_room {
-            state.counts.samples_dropped_total += 1;
+            state.counts.sample_too_large_or_many_total += 1;
             return;
         }
         state.publish(&text);
@@ -189,7 +189,7 @@ impl Board {
 
 impl State {
     fn publish(&mut self, text: &axum::body::Bytes) {
-        self.counts.viewers_dropped_total += self.viewers.send(text);
+        self.counts.browser_too_slow_total += self.viewers.send(text);
     }
 
     /// Returns the visible processes that are alive; none while the router is gone.
@@ -308,7 +308,7 @@ mod tests {
         let tell = |sample| board.receive(News::Metrics(vec![sample]), Duration::ZERO);
         (0..MAX_KEYS).for_each(|i| tell(samples::actor(&format!("a-{i}"))));
         let known = |key: &str| board.state().latest.get(key).cloned();
-        let n_dropped = || board.state().counts.samples_dropped_total;
+        let n_dropped = || board.state().counts.sample_too_large_or_many_total;
         for sample in [samples::learner(), samples::evaluation()] {
             tell(sample.clone());
             assert!(known(&sample.suffix).is_some(), "{}", sample.suffix);

@@ -7,12 +7,11 @@ use axum::extract::{Extension, RawQuery};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
-use blueprints::checks::Check;
-use blueprints::drawing::{Drawing, DrawnBlock, word};
+use blueprints::drawing::{Connection, Drawing, DrawnBlock, Problem, word};
 use blueprints::{BlueprintId, Catalog, Inventory, UNIT_M};
 use render::picture::TYPE_COLORS;
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::sync::Semaphore;
 
 use super::query::id_of;
@@ -22,13 +21,7 @@ pub(super) const MAX_BYTES: usize = 64 << 10;
 
 /// Runs checks one at a time: the search for an assembly order can take a second.
 #[derive(Clone, Debug)]
-pub(super) struct OneCheck(Arc<Semaphore>);
-
-impl Default for OneCheck {
-    fn default() -> Self {
-        Self(Arc::new(Semaphore::new(1)))
-    }
-}
+pub(super) struct OneCheck(pub(super) Arc<Semaphore>);
 
 /// A drawing as sent by the page and, with the findings, returned to it.
 #[derive(Debug, Serialize, Deserialize)]
@@ -58,25 +51,11 @@ struct Findings {
     schema_version: u32,
     #[serde(flatten)]
     drawing: DrawingView,
-    problems: Vec<ProblemView>,
-    connections: Vec<ConnectionView>,
+    /// Each with its `check`, its `text` and the indices of its `blocks`: empty if it concerns the whole drawing.
+    problems: Vec<Value>,
+    connections: Vec<Value>,
     /// Text of the blueprint file, if there are no problems and at least two blocks.
     toml: Option<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct ProblemView {
-    check: Check,
-    /// Indices into `blocks`; empty if the problem concerns the whole drawing.
-    blocks: Vec<usize>,
-    text: String,
-}
-
-#[derive(Debug, Serialize)]
-struct ConnectionView {
-    a: usize,
-    b: usize,
-    n_magnet_pairs: usize,
 }
 
 /// Parses a drawing. JSON starts with a brace, which no blueprint file does.
@@ -102,16 +81,8 @@ fn look(body: &[u8]) -> Result<Findings, String> {
         at: block.at,
         is_free: block.is_free,
     };
-    let problem = |problem: blueprints::drawing::Problem| ProblemView {
-        check: problem.check,
-        blocks: problem.blocks,
-        text: problem.text,
-    };
-    let connection = |found: blueprints::drawing::Connection| ConnectionView {
-        a: found.a,
-        b: found.b,
-        n_magnet_pairs: found.n_magnet_pairs,
-    };
+    let problem = |of: Problem| json!({ "check": of.check, "blocks": of.blocks, "text": of.text });
+    let connection = |of: Connection| json!({ "a": of.a, "b": of.b, "n_magnet_pairs": of.n_magnet_pairs });
     Ok(Findings {
         schema_version: 1,
         drawing: DrawingView { title: drawing.title, blocks: drawing.blocks.into_iter().map(block).collect() },
@@ -137,14 +108,13 @@ pub(super) async fn check(Extension(one_check): Extension<OneCheck>, body: Bytes
 }
 
 /// Returns the types of blocks available for drawing.
-pub(super) async fn inventory() -> Response {
+pub(super) fn inventory() -> Value {
     let kind = |(i, of): (usize, &blueprints::BlockType)| {
         let color = TYPE_COLORS[i % TYPE_COLORS.len()];
         json!({ "type": of.name, "word": word(&of.name), "cells": of.cells, "count": of.count, "color": color })
     };
     let types: Vec<_> = Inventory::standard().types().iter().enumerate().map(kind).collect();
-    let answer = json!({ "schema_version": 1, "unit_m": UNIT_M, "types": types });
-    ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
+    json!({ "schema_version": 1, "unit_m": UNIT_M, "types": types })
 }
 
 /// Returns the file of the blueprint named in the query.
@@ -158,6 +128,8 @@ pub(super) async fn file(Extension(catalog): Extension<Arc<Catalog>>, RawQuery(q
 
 #[cfg(test)]
 mod tests {
+    use blueprints::checks::Check;
+
     use super::*;
 
     #[test]
@@ -168,7 +140,8 @@ mod tests {
             look(json!({ "title": "two cubes", "blocks": blocks }).to_string().as_bytes()).unwrap()
         };
         let repelled = drawn(false);
-        assert_eq!((repelled.problems[0].check, &repelled.problems[0].blocks[..]), (Check::Polarity, &[0, 1][..]));
+        let problem = &repelled.problems[0];
+        assert_eq!((&problem["check"], &problem["blocks"]), (&json!(Check::Polarity), &json!([0, 1])));
         assert_eq!(repelled.toml, None);
         let turned = drawn(true);
         assert_eq!((turned.problems.len(), turned.connections.len()), (0, 1));

@@ -102,10 +102,7 @@ impl Copy<'_> {
         let mut about: Value = serde_json::from_slice(&self.ask(&format!("{base}/api/about")).await?.1)?;
         let mut recorded = Vec::new();
         // Empty if nothing can play.
-        let snapshots = self.ask(&format!("{base}/api/snapshots")).await?.1;
-        self.write(&format!("{base}/api/snapshots.json"), &snapshots)?;
-        let snapshots: Value = serde_json::from_slice(&snapshots)?;
-        let snapshots = snapshots["snapshots"].as_array().into_iter().flatten();
+        let snapshots = self.list(base, "snapshots").await?.into_iter();
         let snapshots = snapshots.map(|n| (format!("agent=policy&snapshot={n}"), format!("policy-{n}")));
         let agents = AGENTS.into_iter().map(|agent| (format!("agent={agent}"), agent.to_owned()));
         let builders: Vec<_> = agents.chain(snapshots).collect();
@@ -125,17 +122,20 @@ impl Copy<'_> {
         }
         self.write(&format!("{base}/api/about.json"), about.to_string().as_bytes())?;
         self.take(&format!("{base}/api/history"), &format!("{base}/api/history.json")).await?;
-        let (_, videos) = self.ask(&format!("{base}/api/videos")).await?;
-        self.write(&format!("{base}/api/videos.json"), &videos)?;
-        let videos: Value = serde_json::from_slice(&videos)?;
-        let videos = videos["videos"].as_array().into_iter().flatten();
-        for video in videos {
+        for video in self.list(base, "videos").await? {
             let id = video["id"].as_str().unwrap_or_default();
-            self.take(&format!("{base}/api/video?id={id}"), &format!("{base}/api/video/{id}.mp4")).await?;
-            self.take(&format!("{base}/api/recording?id={id}"), &format!("{base}/api/recording/{id}.json")).await?;
-            self.take(&format!("{base}/api/poster?id={id}"), &format!("{base}/api/poster/{id}.png")).await?;
+            for (kind, ending) in [("video", "mp4"), ("recording", "json"), ("poster", "png")] {
+                self.take(&format!("{base}/api/{kind}?id={id}"), &format!("{base}/api/{kind}/{id}.{ending}")).await?;
+            }
         }
         Ok(())
+    }
+
+    /// Writes a response that lists something under its own name, and returns the list.
+    async fn list(&mut self, base: &str, name: &str) -> anyhow::Result<Vec<Value>> {
+        let (_, answer) = self.ask(&format!("{base}/api/{name}")).await?;
+        self.write(&format!("{base}/api/{name}.json"), &answer)?;
+        Ok(serde_json::from_slice::<Value>(&answer)?[name].as_array().cloned().unwrap_or_default())
     }
 
     /// Writes a response to a file. Returns false unless its status is 200.

@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use blueprints::{Blueprint, BlueprintId, Catalog, Group};
 use parking_lot::Mutex;
 use render::picture::{Painter, View, draw_blueprint, encode};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::query::id_of;
 
@@ -44,15 +44,14 @@ impl Gallery {
 }
 
 /// Returns all blueprints of the catalog, in its order.
-pub(super) async fn list(Extension(catalog): Extension<Arc<Catalog>>) -> Response {
+pub(super) fn list(catalog: &Catalog) -> Value {
     let entry = |blueprint: &Blueprint| {
         let n_blocks = blueprint.n_blocks();
         let group = Group::of(blueprint.split(), n_blocks);
         json!({ "id": blueprint.id(), "title": blueprint.title(), "n_blocks": n_blocks, "group": group.map(Group::name) })
     };
     let blueprints: Vec<_> = catalog.iter().map(entry).collect();
-    let answer = json!({ "schema_version": 1, "blueprints": blueprints });
-    ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
+    json!({ "schema_version": 1, "blueprints": blueprints })
 }
 
 /// Returns the picture of the blueprint named in the query.

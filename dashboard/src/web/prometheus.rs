@@ -31,7 +31,9 @@ type Labels = Vec<(&'static str, String)>;
 pub(super) fn text(state: &State, run: &str) -> Result<String, std::fmt::Error> {
     let run = (Cow::Borrowed("run"), Cow::Owned(run.to_owned()));
     let mut page = Scrape(Registry::with_prefix_and_labels("lodestone", std::iter::once(run)));
-    build(&mut page);
+    // A constant whose label has the version of the program.
+    let labels = vec![label("version", env!("CARGO_PKG_VERSION"))];
+    page.gauges("build_info", "Always 1; the label has the version of the program", [(labels, 1.0)]);
     success(&mut page, state);
     learner(&mut page, state);
     roster(&mut page, state);
@@ -54,21 +56,14 @@ impl Scrape {
         self.0.register(name, help, family);
     }
 
+    /// Adds a gauge without labels; none without a value, as a family without members is left out of a scrape.
     fn gauge(&mut self, name: &str, help: &str, value: Option<f64>) {
-        if let Some(value) = value {
-            let gauge = Gauge::<f64, AtomicU64>::default();
-            gauge.set(value);
-            self.0.register(name, help, gauge);
-        }
+        self.gauges(name, help, value.map(|value| (Labels::new(), value)));
     }
 
     /// Adds a counter. The encoder appends `_total` to `name`, here and in `counters`.
     fn counter(&mut self, name: &str, help: &str, value: Option<u64>) {
-        if let Some(value) = value {
-            let counter: Counter = Counter::default();
-            counter.inc_by(value);
-            self.0.register(name, help, counter);
-        }
+        self.counters(name, help, value.map(|value| (Labels::new(), value)));
     }
 
     fn counters(&mut self, name: &str, help: &str, values: impl IntoIterator<Item = (Labels, u64)>) {
@@ -88,12 +83,6 @@ fn label(name: &'static str, value: &str) -> (&'static str, String) {
 fn by_reason(counts: &impl Serialize) -> Vec<(Labels, u64)> {
     let reason = |name: String| vec![label("reason", name.strip_suffix("_total").unwrap_or(&name))];
     counters(counts).into_iter().map(|(name, n)| (reason(name), n)).collect()
-}
-
-/// Adds a constant whose label has the version of the program.
-fn build(page: &mut Scrape) {
-    let labels = vec![label("version", env!("CARGO_PKG_VERSION"))];
-    page.gauges("build_info", "Always 1; the label has the version of the program", [(labels, 1.0)]);
 }
 
 fn success(page: &mut Scrape, state: &State) {
@@ -241,16 +230,7 @@ fn dropped_by_evaluator(page: &mut Scrape, state: &State) {
 }
 
 fn dropped_by_page(page: &mut Scrape, state: &State) {
-    let counts = &state.counts;
-    let reasons = [
-        ("sample_too_large_or_many", counts.samples_dropped_total),
-        ("browser_too_slow", counts.viewers_dropped_total),
-        ("connection_refused", counts.connections_refused_total),
-        ("connection_evicted", counts.connections_evicted_total),
-        ("connection_expired", counts.connections_expired_total),
-        ("request_refused", counts.requests_refused_total),
-    ];
-    let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
+    let reasons = by_reason(&state.counts);
     page.counters("page_dropped", "What the page itself dropped or refused, by reason", reasons);
     let unread = by_reason(&state.run.unread);
     page.counters("page_metrics_unread", "Metrics that came and are not among these numbers, by reason", unread);

@@ -103,13 +103,8 @@ impl Replays {
     /// milliseconds.
     pub(super) fn show(&self, segments: &[Trajectory], goal: &Blueprint) -> Option<Bytes> {
         let view = view(segments, goal, |episode| self.observer.look(episode))?;
-        match serde_json::to_vec(&view) {
-            Ok(json) => Some(json.into()),
-            Err(error) => {
-                tracing::debug!(%error, "an episode could not be shown");
-                None
-            }
-        }
+        let json = serde_json::to_vec(&view);
+        Some(json.inspect_err(|error| tracing::debug!(%error, "an episode could not be shown")).ok()?.into())
     }
 
     /// Returns the newest episode, if any, and requests the recording of a newer one.

@@ -7,16 +7,17 @@ use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::extract::{DefaultBodyLimit, Extension, RawQuery, Request, State};
 use axum::http::header::{
-    AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST, LOCATION,
-    ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    ACCEPT, AUTHORIZATION, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, COOKIE, HOST,
+    LOCATION, ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS,
+    X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
-use axum::response::{IntoResponse, Response};
+use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use blueprints::Catalog;
 use serde_json::{Value, json};
-use tokio::task::JoinError;
+use tokio::sync::Semaphore;
 
 use super::about::{About, Kind, about, base};
 use super::assets;
@@ -79,10 +80,10 @@ pub(super) fn routes(
         guarded = guarded.route("/api/sweep", answer_with(&sweep));
     }
     guarded = guarded
-        .route("/api/blueprints", get(gallery::list))
+        .route("/api/blueprints", answer_with(&gallery::list(&catalog)))
         .route("/api/picture", get(gallery::picture))
         .route("/api/blueprint", get(drawing::file))
-        .route("/api/inventory", get(drawing::inventory))
+        .route("/api/inventory", answer_with(&drawing::inventory()))
         .route("/api/check", post(drawing::check));
     for asset in assets::all() {
         guarded = guarded.route(asset.0, assets::route(asset, opens));
@@ -92,7 +93,7 @@ pub(super) fn routes(
         .layer(Extension(Arc::new(Gallery::default())))
         .layer(Extension(catalog))
         .layer(Extension(places))
-        .layer(Extension(OneCheck::default()))
+        .layer(Extension(OneCheck(Arc::new(Semaphore::new(1)))))
         .layer(DefaultBodyLimit::max(drawing::MAX_BYTES))
         .layer(from_fn_with_state(guard.clone(), authorize))
         .merge(
@@ -104,10 +105,6 @@ pub(super) fn routes(
         .layer(from_fn_with_state(guard, set_headers))
 }
 
-/// Name of a run.
-#[derive(Clone)]
-struct Name(String);
-
 /// Serves JSON that does not change.
 fn answer_with<S: Clone + Send + Sync + 'static>(json: &Value) -> MethodRouter<S> {
     let answer = Bytes::from(json.to_string());
@@ -116,7 +113,10 @@ fn answer_with<S: Clone + Send + Sync + 'static>(json: &Value) -> MethodRouter<S
 
 /// Builds the endpoints of one run.
 fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
-    let name = Name(run.about.run.clone());
+    let name = run.about.run.clone();
+    let metrics = async move |State(board): State<Arc<Board>>| {
+        found(prometheus::CONTENT_TYPE, prometheus::text(&board.state(), &name).map(Some))
+    };
     let about = about(&run.about, run.stage.is_some(), names, is_of_sweep);
     Router::new()
         .route("/api/about", answer_with(&about))
@@ -124,14 +124,13 @@ fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
         .route("/api/events", get(events))
         .route("/api/play", get(stage::play).post(stage::play))
         .route("/api/play.mp4", get(stage::play).post(stage::play))
-        .route("/api/snapshots", get(stage::snapshots))
+        .route("/api/snapshots", get(snapshots))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
         .route("/api/videos", get(list_videos))
         .route("/api/video", get(video))
         .route("/api/poster", get(poster))
         .route("/metrics", get(metrics))
-        .layer(Extension(name))
         .layer(Extension(run.about.catalog))
         .layer(Extension(run.videos))
         .layer(Extension(run.replays))
@@ -148,10 +147,7 @@ async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
 }
 
 async fn history(State(board): State<Arc<Board>>) -> Response {
-    match board.history() {
-        Ok(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
-        Err(error) => failed(&error),
-    }
+    found("application/json", board.history().map(Some))
 }
 
 async fn list_videos(Extension(videos): Extension<Videos>) -> Response {
@@ -187,20 +183,19 @@ async fn recording(
     found("application/json", answer)
 }
 
-/// Returns the bytes that a blocking task found, 404 if it found none, or 500 if it panicked.
-fn found(content_type: &'static str, answer: Result<Option<impl Into<Bytes>>, JoinError>) -> Response {
+async fn snapshots(Extension(stage): Extension<Option<Stage>>) -> Response {
+    found("application/json", tokio::task::spawn_blocking(move || Some(stage::snapshots(stage))).await)
+}
+
+/// Returns the bytes that were found, 404 if there are none, or 500 after an error, such as a panic of a blocking task.
+fn found(content_type: &'static str, answer: Result<Option<impl Into<Bytes>>, impl std::error::Error>) -> Response {
     match answer {
         Ok(Some(bytes)) => ([(CONTENT_TYPE, content_type)], bytes.into()).into_response(),
         Ok(None) => StatusCode::NOT_FOUND.into_response(),
-        Err(error) => failed(&error),
-    }
-}
-
-async fn metrics(State(board): State<Arc<Board>>, Extension(run): Extension<Name>) -> Response {
-    let text = prometheus::text(&board.state(), &run.0);
-    match text {
-        Ok(text) => ([(CONTENT_TYPE, prometheus::CONTENT_TYPE)], text).into_response(),
-        Err(error) => failed(&error),
+        Err(error) => {
+            tracing::warn!(%error, "the page could not be answered");
+            StatusCode::INTERNAL_SERVER_ERROR.into_response()
+        }
     }
 }
 
@@ -225,11 +220,6 @@ async fn replay(Extension(replays): Extension<Arc<Replays>>) -> Response {
     }
 }
 
-fn failed(error: &dyn std::error::Error) -> Response {
-    tracing::warn!(%error, "the page could not be answered");
-    StatusCode::INTERNAL_SERVER_ERROR.into_response()
-}
-
 /// Paths of endpoints that read a body: a drawing.
 const WITH_BODY: [&str; 3] = ["/api/check", "/api/play", "/api/play.mp4"];
 
@@ -241,7 +231,7 @@ async fn set_headers(State(guard): State<Arc<Guard>>, request: Request, next: Ne
         || headers.get(CONTENT_LENGTH).is_some_and(|length| length.as_bytes() != b"0");
     let is_read = request.method() == Method::POST && WITH_BODY.iter().any(|path| request.uri().path().ends_with(path));
     let mut response = if names_two_hosts(&request) {
-        guard.refuse(StatusCode::BAD_REQUEST, "a request names one host, once\n")
+        guard.refuse(headers, StatusCode::BAD_REQUEST, "a request names one host, once\n")
     } else if has_body && !is_read {
         StatusCode::PAYLOAD_TOO_LARGE.into_response()
     } else {
@@ -271,9 +261,14 @@ struct Guard {
 }
 
 impl Guard {
-    fn refuse(&self, status: StatusCode, reason: &'static str) -> Response {
-        self.board.state().counts.requests_refused_total += 1;
-        (status, reason).into_response()
+    fn refuse(&self, asked: &HeaderMap, status: StatusCode, reason: &'static str) -> Response {
+        self.board.state().counts.request_refused_total += 1;
+        if values(asked, ACCEPT).all(|types| !types.contains("text/html")) {
+            return (status, reason).into_response();
+        }
+        // Without a viewport, a phone shows text as on a large screen, tiny.
+        let head = r#"<!doctype html><html lang="en"><meta name="viewport" content="width=device-width"><title>Lodestone</title>"#;
+        (status, Html(format!("{head}<p>{reason}"))).into_response()
     }
 }
 
@@ -288,7 +283,7 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
         } else {
             return next.run(request).await;
         };
-        return guard.refuse(StatusCode::FORBIDDEN, refusal);
+        return guard.refuse(request.headers(), StatusCode::FORBIDDEN, refusal);
     };
     let in_query = request.uri().query().into_iter().flat_map(|query| query.split('&'));
     let (tokens, others): (Vec<&str>, Vec<&str>) = in_query.partition(|pair| pair.starts_with("token="));
@@ -299,12 +294,16 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
         return next.run(request).await;
     }
     if !is_in_cookie(token, request.headers()) {
-        return guard
-            .refuse(StatusCode::UNAUTHORIZED, "open the page with ?token=…, or send Authorization: Bearer …\n");
+        let how = "open the page with ?token=…, or send Authorization: Bearer …\n";
+        return guard.refuse(request.headers(), StatusCode::UNAUTHORIZED, how);
     }
     // A browser adds the cookie by itself, also for another page of this host on another port.
     if Asker::of(&request).uses_the_cookie() {
-        return guard.refuse(StatusCode::FORBIDDEN, "a cookie does not let other sites use the page\n");
+        return guard.refuse(
+            request.headers(),
+            StatusCode::FORBIDDEN,
+            "a cookie does not let other sites use the page\n",
+        );
     }
     next.run(request).await
 }

@@ -102,14 +102,14 @@ pub(super) async fn serve(listener: TcpListener, routes: Router, board: Arc<Boar
             Ok((stream, _)) => stream,
             Err(error) => {
                 tracing::debug!(%error, "a connection to the page was not accepted");
-                board.state().counts.connections_refused_total += 1;
+                board.state().counts.connection_refused_total += 1;
                 tokio::time::sleep(ACCEPT_REST).await;
                 continue;
             }
         };
         while tasks.try_join_next().is_some() {}
         if tasks.len() >= MAX_CONNECTIONS && open.make_room() {
-            board.state().counts.connections_evicted_total += 1;
+            board.state().counts.connection_evicted_total += 1;
             // Waiting for its end keeps the limit, and lets the connections before this one read what has arrived.
             tasks.join_next().await;
         }
@@ -147,7 +147,7 @@ async fn answer(stream: TcpStream, connection: Connection, routes: Router, board
             tracing::trace!(%error, "a connection to the page ended early");
         },
         () = connection.close.cancelled() => {}
-        () = time_is_up => board.state().counts.connections_expired_total += 1,
+        () = time_is_up => board.state().counts.connection_expired_total += 1,
     }
 }
 

@@ -260,17 +260,11 @@ pub(super) async fn play(
     }
 }
 
-/// Lists the snapshots by their environment steps.
-pub(super) async fn snapshots(Extension(stage): Extension<Option<Stage>>) -> Response {
+/// Lists the snapshots by their environment steps, as JSON.
+pub(super) fn snapshots(stage: Option<Stage>) -> String {
     let run = stage.and_then(|stage| stage.run);
-    let list = move || run.map(|run| run.snapshots().into_keys().collect::<Vec<_>>()).unwrap_or_default();
-    match tokio::task::spawn_blocking(list).await {
-        Ok(all) => {
-            let answer = json!({ "schema_version": 1, "snapshots": all });
-            ([(CONTENT_TYPE, "application/json")], answer.to_string()).into_response()
-        }
-        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
-    }
+    let all = run.map(|run| run.snapshots().into_keys().collect::<Vec<_>>()).unwrap_or_default();
+    json!({ "schema_version": 1, "snapshots": all }).to_string()
 }
 
 fn refused(reason: String) -> Response {
@@ -286,13 +280,6 @@ enum Form {
 }
 
 impl Form {
-    fn content_type(&self) -> &'static str {
-        match self {
-            Self::Replay(_) => "application/json",
-            Self::Video => "video/mp4",
-        }
-    }
-
     /// Returns the episode in this form; `None` if there is nothing to show.
     fn of(&self, episode: Trajectory, goal: &Blueprint) -> Option<Bytes> {
         match self {
@@ -309,7 +296,7 @@ impl Form {
 /// page.
 async fn perform(stage: Stage, order: Order, form: Form, opens: bool) -> Response {
     let Ok(_turn) = stage.turn.acquire().await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
-    let content_type = form.content_type();
+    let content_type = if matches!(form, Form::Video) { "video/mp4" } else { "application/json" };
     let shown = |bytes: Bytes| ([(CONTENT_TYPE, content_type)], bytes).into_response();
     let opening = stage.opening.lock().clone().filter(|_| matches!(form, Form::Replay(_)));
     if let Some((_, json)) = opening.filter(|(first, _)| *first == order) {
@@ -406,8 +393,7 @@ mod tests {
         }
         let stage = Stage::new(Some(run), |order, _| Err(StageError::NoSnapshot(order.snapshot.unwrap())));
         let text = async |answer: Response| axum::body::to_bytes(answer.into_body(), 1000).await.unwrap();
-        let listed = snapshots(Extension(Some(stage.clone()))).await;
-        assert_eq!(text(listed).await, "{\"schema_version\":1,\"snapshots\":[5,77]}");
+        assert_eq!(snapshots(Some(stage.clone())), "{\"schema_version\":1,\"snapshots\":[5,77]}");
         let order = Order::named("blueprint=2_000&snapshot=6", Catalog::builtin()).unwrap();
         let answer = perform(stage, order, Form::Video, false).await;
         assert_eq!(answer.status(), StatusCode::BAD_REQUEST);

@@ -1,7 +1,6 @@
 //! Tests of the page from the perspective of browsers and probes, with a real bus and hand-written requests.
 
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -32,15 +31,18 @@ async fn within<T>(future: impl Future<Output = T>) -> T {
 }
 
 struct Served {
+    dir: tempfile::TempDir,
     bus: Bus,
     address: SocketAddr,
     evaluations: mpsc::UnboundedSender<Evaluation>,
     task: tokio::task::JoinHandle<anyhow::Result<()>>,
 }
 
-/// A page connected to a bus. Videos and recordings are read from `dir`; attention is that of an untrained network.
-async fn serve(dir: &Path, token: Option<&str>) -> Served {
-    let bus = Bus::isolated(dir).await.unwrap();
+/// A page connected to a bus. Videos and recordings are read from a new folder; attention is that of an untrained
+/// network.
+async fn serve(token: Option<&str>) -> Served {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
     let token = token.map(|token| Token::from(token.to_owned()));
     let page = Page::bind(&Valid::new(WebConfig { token, ..Default::default() }).unwrap()).await.unwrap();
     let address = page.address();
@@ -57,13 +59,13 @@ async fn serve(dir: &Path, token: Option<&str>) -> Served {
         evaluations: its_evaluations,
         weights,
         policy,
-        run: Some(RunPaths::new(dir)),
+        run: Some(RunPaths::new(dir.path())),
         about,
         stage: Some(stage),
     };
     let its_bus = bus.clone();
     let task = tokio::spawn(async move { page.serve(&its_bus, source).await });
-    Served { bus, address, evaluations, task }
+    Served { dir, bus, address, evaluations, task }
 }
 
 fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> About {
@@ -105,10 +107,6 @@ async fn send(address: SocketAddr, bytes: &[u8]) -> String {
 }
 
 impl Served {
-    async fn send(&self, bytes: &[u8]) -> String {
-        send(self.address, bytes).await
-    }
-
     /// Asks for the events and returns the lines of the response.
     async fn listen(&self) -> BufReader<TcpStream> {
         let mut stream = TcpStream::connect(self.address).await.unwrap();
@@ -118,7 +116,8 @@ impl Served {
     }
 
     async fn get_with(&self, path: &str, headers: &str) -> String {
-        self.send(format!("GET {path} HTTP/1.1\r\nHost: {}\r\n{headers}\r\n", self.address).as_bytes()).await
+        let request = format!("GET {path} HTTP/1.1\r\nHost: {}\r\n{headers}\r\n", self.address);
+        send(self.address, request.as_bytes()).await
     }
 
     async fn get(&self, path: &str) -> String {
@@ -138,6 +137,10 @@ impl Served {
 
 fn status(answer: &str) -> u16 {
     answer.split(' ').nth(1).unwrap_or_else(|| panic!("no status: {answer:?}")).parse().unwrap()
+}
+
+fn json_of(answer: &str) -> Value {
+    serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap()
 }
 
 /// Reads events until one matches, and returns its data.
@@ -170,8 +173,7 @@ fn every_module_is_served_with_what_it_imports() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn only_what_is_meant_to_be_seen_is_served() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let served = serve(None).await;
     let host = format!("Host: {}\r\n", served.address);
     let table = [
         ("GET / HTTP/1.1", &host[..], 200),
@@ -234,7 +236,7 @@ async fn only_what_is_meant_to_be_seen_is_served() {
         ("CONNECT localhost:80 HTTP/1.1", "Host: localhost:80\r\n", 404),
     ];
     for (line, headers, expected) in table {
-        let answer = served.send(format!("{line}\r\n{headers}\r\n").as_bytes()).await;
+        let answer = send(served.address, format!("{line}\r\n{headers}\r\n").as_bytes()).await;
         assert_eq!(status(&answer), expected, "{line} {headers}");
     }
     let large = format!("X-Large: {}\r\n", "x".repeat(20 << 10));
@@ -255,8 +257,7 @@ async fn only_what_is_meant_to_be_seen_is_served() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn other_sites_may_link_to_the_page_but_not_use_it() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let served = serve(None).await;
     let table = [
         ("/api/history", "cross-site", "empty", 403),
         ("/api/history", "same-site", "empty", 403),
@@ -300,8 +301,7 @@ async fn other_sites_may_link_to_the_page_but_not_use_it() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_token_keeps_others_out_but_not_probes() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), Some(TOKEN)).await;
+    let served = serve(Some(TOKEN)).await;
     let table = [
         ("/", String::new(), 401),
         ("/api/history", String::new(), 401),
@@ -358,8 +358,7 @@ async fn a_token_keeps_others_out_but_not_probes() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn too_many_browsers_leave_room_for_probes() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let served = serve(None).await;
     let mut listeners = Vec::new();
     for _ in 0..MAX_VIEWERS {
         let mut lines = served.listen().await;
@@ -378,8 +377,7 @@ async fn too_many_browsers_leave_room_for_probes() {
 async fn connections_that_say_too_little_are_few_and_short() {
     /// How often all places are taken again.
     const N_ROUNDS: usize = 40;
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let served = serve(None).await;
     // No head, half of one, and a head whose body does not come.
     let body = format!("POST /api/check HTTP/1.1\r\nHost: {}\r\nContent-Length: 9\r\n\r\n", served.address);
     let mut held = VecDeque::new();
@@ -424,8 +422,7 @@ async fn connections_that_say_too_little_are_few_and_short() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_connection_serves_one_request() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let served = serve(None).await;
     // Reads to the end, which comes although the client keeps its side open.
     let answer = served.get_with("/healthz", "Connection: keep-alive\r\n").await.to_lowercase();
     assert!(answer.contains("connection: close") && answer.ends_with("serving\n"), "{answer}");
@@ -434,8 +431,7 @@ async fn a_connection_serves_one_request() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_put_on_the_bus_reaches_the_browser() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut served = serve(dir.path(), None).await;
+    let mut served = serve(None).await;
     let before = served.bus.metrics_publisher("custom/first").await.unwrap();
     before.put(&json!({ "x": 1 })).await.unwrap();
     let mut lines = served.listen().await;
@@ -468,15 +464,14 @@ async fn what_is_put_on_the_bus_reaches_the_browser() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn videos_are_told_and_sent_and_nothing_else_is() {
-    let dir = tempfile::tempdir().unwrap();
+    let served = serve(None).await;
+    let dir = &served.dir;
     let folder = dir.path().join("videos").join("2_000");
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("00000007-success.mp4"), "the video").unwrap();
     std::fs::write(folder.join("secret.mp4"), "not a video of ours").unwrap();
     std::fs::write(dir.path().join("eval.db"), "not a video").unwrap();
-    let served = serve(dir.path(), None).await;
-    let body = |answer: String| answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned()).unwrap();
-    let answer: Value = serde_json::from_str(&body(served.get("/api/videos").await)).unwrap();
+    let answer = json_of(&served.get("/api/videos").await);
     let video = json!({ "id": "2_000.7.success.1", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
     assert_eq!(answer, json!({ "schema_version": 1, "videos": [video] }));
     let answer = served.get("/api/video?id=2_000.7.success.1").await;
@@ -487,7 +482,7 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
     let recording = encode_recording(&segment(2, 0, 3, true));
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
-    let answer: Value = serde_json::from_str(&body(served.get("/api/recording?id=2_000.7.success.1").await)).unwrap();
+    let answer = json_of(&served.get("/api/recording?id=2_000.7.success.1").await);
     assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
     let poster = served.get("/api/poster?id=2_000.7.success.1").await;
     assert!(poster.contains("content-type: image/png") && poster.contains("IHDR"), "{} bytes", poster.len());
@@ -515,11 +510,10 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_episode_is_played_when_somebody_asks_for_it() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), None).await;
+    let served = serve(None).await;
     let answer = served.get("/api/play?blueprint=2_000&agent=expert&seed=3").await;
     assert_eq!(status(&answer), 200, "{answer}");
-    let episode: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let episode = json_of(&answer);
     assert_eq!((&episode["blueprint"], &episode["end"]), (&json!("2_000"), &json!("success")));
     assert_eq!(episode["scenes"].as_array().unwrap().len(), 4);
     // No weights have arrived, so the policy is unavailable. Invalid orders are rejected.
@@ -532,16 +526,15 @@ async fn an_episode_is_played_when_somebody_asks_for_it() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_drawing_is_checked_and_built() {
-    let dir = tempfile::tempdir().unwrap();
-    let served = serve(dir.path(), Some(TOKEN)).await;
+    let served = serve(Some(TOKEN)).await;
     let post = async |path: &str, body: &str, token: &str| {
         let head = format!("POST {path} HTTP/1.1\r\nHost: {}\r\nAuthorization: Bearer {token}\r\n", served.address);
-        served.send(format!("{head}Content-Length: {}\r\n\r\n{body}", body.len()).as_bytes()).await
+        send(served.address, format!("{head}Content-Length: {}\r\n\r\n{body}", body.len()).as_bytes()).await
     };
     let file = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test");
     let answer = post("/api/check", &file, TOKEN).await;
     assert_eq!(status(&answer), 200, "{answer}");
-    let found: Value = serde_json::from_str(answer.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let found = json_of(&answer);
     assert_eq!((&found["problems"], found["connections"].as_array().unwrap().len()), (&json!([]), 1));
     assert!(found["toml"].as_str().unwrap().contains("id = \"drawn_2_"));
     assert_eq!(status(&post("/api/play?agent=expert", &file, TOKEN).await), 200);

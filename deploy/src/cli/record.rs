@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use blueprints::Split;
 use clap::Args;
-
-use super::StartArg;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use evaluator::Starts;
 
 /// Arguments of `record`.
 #[derive(Debug, Args)]
@@ -30,8 +30,8 @@ pub struct RecordArgs {
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub(crate) episodes: u32,
     /// How episodes begin; mixed: every fifth with another blueprint already built.
-    #[arg(long, value_enum, default_value_t = StartArg::Scattered)]
-    pub(crate) start: StartArg,
+    #[arg(long, default_value = "scattered", value_parser = starts())]
+    pub(crate) start: Starts,
     /// Seed of the start states and of sampled actions.
     #[arg(long, value_name = "S", default_value_t = 0)]
     pub(crate) seed: u64,
@@ -57,4 +57,15 @@ pub struct GoalArgs {
     /// repeated.
     #[arg(long, value_name = "S")]
     pub(crate) split: Vec<Split>,
+}
+
+/// Parses how episodes begin.
+fn starts() -> impl TypedValueParser<Value = Starts> {
+    let all = [
+        ("scattered", "All blocks scattered", Starts::Scattered),
+        ("prebuilt", "Another training blueprint is already built", Starts::Prebuilt),
+        ("mixed", "Every fifth episode prebuilt, the others scattered", Starts::Mixed),
+    ];
+    let values = PossibleValuesParser::new(all.map(|(name, help, _)| PossibleValue::new(name).help(help)));
+    values.map(move |given| all.into_iter().find(|(name, ..)| *name == given).expect("it is one of them").2)
 }

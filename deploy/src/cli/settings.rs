@@ -184,11 +184,8 @@ fn has_effect(overrides: &[Override], config: &Config) -> Result<(), ConfigError
 
 /// Refuses settings that a run in `folder` cannot change: its network has learned from normalized numbers.
 fn goes_on(before: &Config, now: &Config, folder: &Path) -> Result<(), ConfigError> {
-    let normalized = |config: &Config| {
-        let normalization = &config.learner.normalization;
-        [("features", normalization.features), ("values", normalization.values)]
-    };
-    for ((name, was), (_, is)) in normalized(before).into_iter().zip(normalized(now)) {
+    let (was, is) = (&before.learner.normalization, &now.learner.normalization);
+    for (name, was, is) in [("features", was.features, is.features), ("values", was.values, is.values)] {
         if was && !is {
             return Err(ConfigError::Value {
                 origin: folder.display().to_string(),

@@ -22,11 +22,6 @@ pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) 
     Ok(())
 }
 
-/// The refusal to replace what exists.
-pub(super) fn exists(path: &Path) -> Failure {
-    Failure::Input(format!("{} exists already; nothing was written", path.display()))
-}
-
 /// Writes a blueprint file; never replaces an existing one.
 pub(super) fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
     let failed = |error: io::Error| Failure::Input(format!("cannot write {}: {error}", path.display()));

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow};
 use blueprints::catalog::read_files;
-use blueprints::checks::check_text;
+use blueprints::checks::{Inferred, check_text};
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use evaluator::Selection;
 use runlog::RunPaths;
@@ -36,20 +36,12 @@ struct Named {
 }
 
 impl Goals {
-    /// Resolves names, each of which is a file, a folder of files, or an id.
+    /// Resolves names, each of which is a file, a folder of files, or an id. Ids may also refer to the blueprints kept
+    /// with a run; `run` is the run's folder or a path in it.
     ///
     /// # Errors
-    /// Names the file that is not a blueprint, or the unknown id and the nearest known one.
-    pub(super) fn open(named: &[OsString]) -> Result<Self, Failure> {
-        Self::open_beside(named, None)
-    }
-
-    /// Like [`Self::open`], but ids may also refer to the blueprints kept with a run; `run` is the run's folder or a
-    /// path in it.
-    ///
-    /// # Errors
-    /// As for [`Self::open`]; also when a blueprint of the run cannot be read, or is not the one that the run began
-    /// with.
+    /// Names the file that is not a blueprint, or the unknown id and the nearest known one; also when a blueprint of
+    /// the run cannot be read, or is not the one that the run began with.
     pub(super) fn open_beside(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
         let mut goals = Self { catalog: Catalog::builtin().clone(), own: Vec::new(), ids: Vec::new() };
         if let Some(folder) = run.and_then(blueprints_of_run) {
@@ -234,25 +226,21 @@ pub(super) fn run_of(path: &Path) -> Option<RunPaths> {
     path.ancestors().take(5).map(RunPaths::new).find(|run| run.config().exists())
 }
 
-/// What was inferred to complete the files and folders among `named`, one line each.
-pub(super) fn inferred(named: &[OsString]) -> Result<Vec<String>, Failure> {
-    let mut lines = Vec::new();
+/// What was inferred to complete the files and folders among `named`, and the file that it is in.
+pub(super) fn inferred(named: &[OsString]) -> Result<Vec<(String, Inferred)>, Failure> {
+    let mut all = Vec::new();
     for path in named.iter().filter(|name| is_path(name)) {
         for (file, text) in read_files(Path::new(path))? {
-            lines.extend(check_text(&file, &text).inferred.iter().map(|found| format!("{file}: {found}")));
+            all.extend(check_text(&file, &text).inferred.into_iter().map(|found| (file.clone(), found)));
         }
     }
-    Ok(lines)
+    Ok(all)
 }
 
 /// Prints the choices made for blocks, in the files among `named`, that could be oriented in several ways.
 pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<(), Failure> {
-    for path in named.iter().filter(|name| is_path(name)) {
-        for (file, text) in read_files(Path::new(path))? {
-            let report = check_text(&file, &text);
-            let chosen = report.inferred.iter().filter(|found| found.is_a_choice());
-            chosen.for_each(|found| terminal.print(&format!("{file}: {found}; `axes` in the file chooses another")));
-        }
+    for (file, found) in inferred(named)?.iter().filter(|(_, found)| found.is_a_choice()) {
+        terminal.print(&format!("{file}: {found}; `axes` in the file chooses another"));
     }
     Ok(())
 }
@@ -285,7 +273,7 @@ mod tests {
 
     fn ids(named: &[&str]) -> Vec<String> {
         let named: Vec<OsString> = named.iter().map(OsString::from).collect();
-        let goals = Goals::open(&named).unwrap();
+        let goals = Goals::open_beside(&named, None).unwrap();
         goals.blueprints().iter().map(|blueprint| blueprint.id().to_string()).collect()
     }
 
@@ -373,7 +361,7 @@ mod tests {
             ([hiding.as_str(), "6_005"], "the id 3_000 is taken by another structure of the catalog"),
         ] {
             let named = named.map(OsString::from);
-            let message = Goals::open(&named).err().unwrap().to_string();
+            let message = Goals::open_beside(&named, None).err().unwrap().to_string();
             assert!(message.contains(words), "{message}");
         }
     }

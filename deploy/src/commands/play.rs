@@ -99,8 +99,8 @@ pub(super) async fn run(
     let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
     let ended = services::evaluate(setup, listeners, page, bus.clone(), stop).await;
     bus.close().await;
-    services::finished(counting).await?;
-    services::finished(shown).await?;
+    counting.await?;
+    shown.await?;
     ended
 }
 

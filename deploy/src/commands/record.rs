@@ -11,7 +11,7 @@ use proto::codec::encode_recording;
 use proto::{ActionMode, Trajectory};
 use tokio_util::sync::CancellationToken;
 
-use super::files::{exists, write_files};
+use super::files::write_files;
 use super::goals::{Goals, is_path, tell_choices};
 use super::models::Source;
 use crate::cli::RecordArgs;
@@ -52,7 +52,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
         environment: Config::evaluation_environment(&config),
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
-            starts: args.start.into(),
+            starts: args.start,
             n_threads: limits::n_threads(args.threads),
             ..EpisodeConfig::default()
         },
@@ -99,7 +99,7 @@ fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Vec<&'g Blueprint> {
 /// Creates the folder.
 fn create(folder: &Path) -> Result<(), Failure> {
     if folder.exists() {
-        return Err(exists(folder));
+        return Err(Failure::Input(format!("{} exists already; nothing was written", folder.display())));
     }
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     Ok(())

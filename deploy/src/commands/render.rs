@@ -56,10 +56,8 @@ fn make_all(
 ) -> Result<(), Failure> {
     for (name, episode) in episodes {
         let making = || format!("making a video of {}", name.display());
-        let (ending, bytes) = match policy {
-            Some(policy) => make_of_attention(&attention(policy, name, episode)?, args).with_context(making)?,
-            None => make(episode, args).with_context(making)?,
-        };
+        let attention = policy.map(|policy| attention(policy, name, episode)).transpose()?;
+        let (ending, bytes) = make(episode, attention.as_ref(), args).with_context(making)?;
         let n_bytes = bytes.len();
         let mut name = name.clone();
         name.push(format!("{}.{ending}", if policy.is_some() { "-attention" } else { "" }));
@@ -70,28 +68,28 @@ fn make_all(
     Ok(())
 }
 
-/// Renders an episode. Returns the extension of the file name and the file's bytes.
-fn make(episode: &Episode, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
-    let (width, fps) = match args.format {
-        VideoFormat::Mp4 => (960, 30),
-        VideoFormat::Gif => (640, 10),
-        VideoFormat::PngStrip => (1200, 1),
+/// Renders an episode, or what a network attends to in it. Returns the extension of the file name and the file's bytes.
+fn make(
+    episode: &Episode,
+    attention: Option<&EpisodeAttention<'_>>,
+    args: &RenderArgs,
+) -> anyhow::Result<(&'static str, Vec<u8>)> {
+    let (width, fps) = match (attention, args.format) {
+        // Attention changes only once per step, so a higher frame rate would show nothing more.
+        (Some(_), _) => (1280, 10),
+        (None, VideoFormat::Mp4) => (960, 30),
+        (None, VideoFormat::Gif) => (640, 10),
+        (None, VideoFormat::PngStrip) => (1200, 1),
     };
     let (width, fps) = (args.width.unwrap_or(width), args.fps.unwrap_or(fps));
-    Ok(match args.format {
-        VideoFormat::Mp4 => ("mp4", mp4(Video::new(episode, width).frames(fps), fps)?),
-        VideoFormat::Gif => ("gif", gif(Video::new(episode, width).frames(fps), fps)?),
-        VideoFormat::PngStrip => ("png", encode(&strip(episode, N_STRIP_SCENES, width), STRIP_COLORS)?),
-    })
-}
-
-/// Like [`make`], for a video of what a network attends to.
-fn make_of_attention(attention: &EpisodeAttention<'_>, args: &RenderArgs) -> anyhow::Result<(&'static str, Vec<u8>)> {
-    // Attention changes only once per step, so a higher frame rate would show nothing more.
-    let (width, fps) = (args.width.unwrap_or(1280), args.fps.unwrap_or(10));
-    Ok(match args.format {
-        VideoFormat::Mp4 => ("mp4", mp4(AttentionVideo::new(attention, width).frames(fps), fps)?),
-        VideoFormat::Gif => ("gif", gif(AttentionVideo::new(attention, width).frames(fps), fps)?),
-        VideoFormat::PngStrip => ("png", encode(&attention_strip(attention, N_STRIP_MOMENTS, width), STRIP_COLORS)?),
+    Ok(match (args.format, attention) {
+        (VideoFormat::Mp4, None) => ("mp4", mp4(Video::new(episode, width).frames(fps), fps)?),
+        (VideoFormat::Mp4, Some(of)) => ("mp4", mp4(AttentionVideo::new(of, width).frames(fps), fps)?),
+        (VideoFormat::Gif, None) => ("gif", gif(Video::new(episode, width).frames(fps), fps)?),
+        (VideoFormat::Gif, Some(of)) => ("gif", gif(AttentionVideo::new(of, width).frames(fps), fps)?),
+        (VideoFormat::PngStrip, None) => ("png", encode(&strip(episode, N_STRIP_SCENES, width), STRIP_COLORS)?),
+        (VideoFormat::PngStrip, Some(of)) => {
+            ("png", encode(&attention_strip(of, N_STRIP_MOMENTS, width), STRIP_COLORS)?)
+        }
     })
 }

@@ -36,7 +36,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     let acting = args.acting;
     let all = history(&args.run)?;
     let evaluations = shown(&all, &args.run, terminal);
-    let grid = Grid::success(&evaluations, acting).ok_or_else(|| nothing(&args.run, &evaluations, acting))?;
+    let grid = success(&args.run, &evaluations, acting)?;
     let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&evaluations, acting))];
     let rows = evaluations.last().map(|last| groups::rows(last)).unwrap_or_default();
     files.push(("groups.md".to_owned(), groups::markdown(&rows).into_bytes()));
@@ -121,9 +121,7 @@ fn difference(
 ) -> Result<File, Failure> {
     let all = history(minus)?;
     let others = shown(&all, minus, terminal);
-    if Grid::success(&others, args.acting).is_none() {
-        return Err(nothing(minus, &others, args.acting));
-    }
+    success(minus, &others, args.acting)?;
     let difference = Difference::new(evaluations, &others, args.acting).ok_or_else(|| {
         Failure::NothingToShow(format!(
             "{} and {} evaluated no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
@@ -143,9 +141,7 @@ fn comparison(evaluations: &[&Evaluation], args: &ReportArgs, terminal: &Termina
     let mut lineages = vec![evaluations.to_vec()];
     for (run, all) in args.beside.iter().zip(&histories) {
         let shown = shown(all, run, terminal);
-        if Grid::success(&shown, args.acting).is_none() {
-            return Err(nothing(run, &shown, args.acting));
-        }
+        success(run, &shown, args.acting)?;
         lineages.push(shown);
     }
     let common = common_rates(lineages.iter().map(Vec::as_slice), args.acting).ok_or_else(|| {
@@ -178,12 +174,14 @@ fn shown<'p>(all: &'p [Evaluation], run: &Path, terminal: &Terminal) -> Vec<&'p 
     evaluations
 }
 
-fn nothing(run: &Path, evaluations: &[&Evaluation], acting: ActionMode) -> Failure {
-    let history = RunPaths::new(run).history();
-    Failure::NothingToShow(if Grid::success(evaluations, acting.other()).is_some() {
-        not_this_way(&history, acting)
-    } else {
-        format!("{} has no evaluation yet: wait for the first one", history.display())
+/// The success of a run over its evaluations, of which there must be some.
+fn success(run: &Path, evaluations: &[&Evaluation], acting: ActionMode) -> Result<Grid, Failure> {
+    Grid::success(evaluations, acting).ok_or_else(|| {
+        let history = RunPaths::new(run).history();
+        Failure::NothingToShow(match Grid::success(evaluations, acting.other()) {
+            Some(_) => not_this_way(&history, acting),
+            None => format!("{} has no evaluation yet: wait for the first one", history.display()),
+        })
     })
 }
 

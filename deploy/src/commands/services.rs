@@ -13,9 +13,8 @@ use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, 
 use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
 use proto::metrics::{EvalReport, LearnerMetrics};
 use proto::{ActorId, Role, Valid, Weights};
-use runlog::{Evaluation, RunPaths};
+use runlog::RunPaths;
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -55,12 +54,9 @@ pub(super) async fn run_actor(
         actor::run(setup, &bus, metrics_sender, shutdown.clone()).await.map(drop).map_err(Failure::from)
     };
     let ended = on_bus(config, &health, &shutdown, act).await;
-    finished(shown).await.and(ended)
-}
-
-/// Waits for a task that shows a service's progress; it ends with the service.
-pub(super) async fn finished(shown: JoinHandle<()>) -> Result<(), Failure> {
-    shown.await.map_err(|panic| Failure::Service(panic.into()))
+    // What shows a service's progress ends with the service, here and below.
+    shown.await?;
+    ended
 }
 
 /// Describes what a process of a run is about to do.
@@ -108,7 +104,7 @@ pub(super) async fn run_learner(
     })
     .await;
     if let Some(shown) = shown {
-        finished(shown).await?;
+        shown.await?;
     }
     ended?;
     if args.fail_unfinished && !is_complete { Err(Failure::Unfinished(config.n_env_steps)) } else { Ok(()) }
@@ -142,8 +138,8 @@ pub(super) async fn run_evaluator(
         evaluator(setup, reports, progress, page, bus, stop).await
     };
     let ended = on_bus(config, &health, &shutdown, evaluate).await;
-    finished(counting).await?;
-    finished(shown).await?;
+    counting.await?;
+    shown.await?;
     ended
 }
 
@@ -231,7 +227,7 @@ pub(super) async fn evaluator(
     let ended = evaluate(setup, listeners, page, bus, stop).await;
     // It ends with the evaluator, and the last verdict may be the best.
     if let Some(keeping) = keeping {
-        finished(keeping).await?;
+        keeping.await?;
     }
     ended
 }
@@ -244,14 +240,11 @@ pub(super) async fn evaluate(
     bus: Bus,
     stop: Stop,
 ) -> Result<(), Failure> {
-    let Some(mut opened) = page else {
+    let Some(opened) = page else {
         evaluator::run(setup, &bus, listeners, stop).await?;
         return Ok(());
     };
-    let (evaluations, evaluation_source) = mpsc::unbounded_channel();
-    let (weights, weights_source) = watch::channel(opened.first.take());
-    (listeners.evaluations, listeners.weights) = (Some(evaluations), Some(weights));
-    let (page, source) = opened.onto(&setup, evaluation_source, weights_source);
+    let (page, source) = opened.onto(&setup, &mut listeners);
     let now = stop.now.clone();
     let serving = async { page.serve(&bus, source).await.inspect_err(|_| now.cancel()) };
     // The page ends after the evaluator, however that ends, to tell browsers so.
@@ -263,17 +256,16 @@ pub(super) async fn evaluate(
 /// Serves a page on which a policy builds, without evaluating it, until `shutdown`.
 pub(super) async fn show(
     setup: EvaluatorSetup,
-    mut opened: Opened,
+    opened: Opened,
     bus: &Bus,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let (evaluations, evaluation_source) = mpsc::unbounded_channel();
-    let (_weights, weights_source) = watch::channel(opened.first.take());
-    let (page, source) = opened.onto(&setup, evaluation_source, weights_source);
+    let mut listeners = Listeners::default();
+    let (page, source) = opened.onto(&setup, &mut listeners);
     // The page ends, and tells browsers so, when no evaluation can come any more.
     let ending = async {
         shutdown.cancelled().await;
-        drop(evaluations);
+        drop(listeners);
     };
     let serving = async { page.serve(bus, source).await.inspect_err(|_| shutdown.cancel()) };
     let (served, ()) = tokio::join!(serving, ending);
@@ -282,14 +274,13 @@ pub(super) async fn show(
 }
 
 impl Opened {
-    /// Splits this into the page and the source of what it shows, with the settings of this evaluator.
-    fn onto(
-        self,
-        setup: &EvaluatorSetup,
-        evaluations: mpsc::UnboundedReceiver<Evaluation>,
-        weights: watch::Receiver<Option<Arc<Weights>>>,
-    ) -> (Page, Source) {
-        let Self { page, about, run: other, .. } = self;
+    /// Splits this into the page and the source of what it shows, with the settings of this evaluator: what these
+    /// `listeners` hear.
+    fn onto(self, setup: &EvaluatorSetup, listeners: &mut Listeners) -> (Page, Source) {
+        let Self { page, about, first, run: other } = self;
+        let (evaluation_sender, evaluations) = mpsc::unbounded_channel();
+        let (weights_sender, weights) = watch::channel(first);
+        (listeners.evaluations, listeners.weights) = (Some(evaluation_sender), Some(weights_sender));
         let (policy, run) = (setup.policy.clone(), setup.records.clone());
         let stage = stage(setup.environment.clone(), policy.clone(), weights.clone(), other.or_else(|| run.clone()));
         let stage = Some(stage);
@@ -396,7 +387,7 @@ pub(super) fn run_options(
     source: Box<dyn TrajectorySource>,
     metrics_sender: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
-    let run_dir = run_dir.paths().clone();
+    let run_dir = run_dir.paths.clone();
     let max_env_steps = Some(config.n_env_steps);
     RunOptions { setup, run_dir, resume, max_env_steps, source, metrics_sender, save_retry: SAVE_RETRY }
 }

@@ -15,10 +15,9 @@ use learner::{Arrivals, LearnerSetup, RunOptions, Source};
 use proto::keys::Role;
 use proto::metrics::{EvalReport, EvalSummary, LearnerMetrics};
 use proto::{ActorId, Valid, Weights};
-use runlog::RunPaths;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
-use tokio::task::{JoinError, JoinSet};
+use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::common::{configure, join_bus, json, origin, serve_command};
@@ -109,7 +108,7 @@ pub(super) async fn run(
         run_dir.abandon();
         return Err(Failure::NothingWritten(run_dir.path().to_owned()));
     };
-    goals.keep(run_dir.paths())?;
+    goals.keep(&run_dir.paths)?;
     health.joined(&bus);
     let (channels, mut views) = Channels::open(&bus, config, args, terminal).await?;
     let reports = channels.reports.subscribe();
@@ -122,7 +121,7 @@ pub(super) async fn run(
     let ended = services.run(options, channels, page).await;
     bus.close().await;
     while let Some(view) = views.join_next().await {
-        view.map_err(panicked)?;
+        view?;
     }
     let learner = ended?;
     let is_complete = learner.n_env_steps >= config.n_env_steps;
@@ -159,9 +158,9 @@ async fn prepare(
     let page = page(config, args, terminal).await?;
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, origin)?;
-    let preset = run_dir.preset().map(str::to_owned);
+    let preset = run_dir.preset.clone();
     let last_words = Farewell { ended: "the run", command: Some(serve_command(&[run_dir.path().to_owned()])) };
-    let origin = origin_of(&RunPaths::new(run_dir.path()), config);
+    let origin = origin_of(&run_dir.paths, config);
     let about = About { preset, origin, ..services::about(settings, catalog, last_words) };
     let page = page.map(|page| services::Opened { page, about, first: None, run: None });
     Ok(Prepared { setup, run_dir, page, health })
@@ -250,7 +249,7 @@ impl Services<'_> {
             // Any service that ends, even without an error, ends the run, because the others have nothing to do without
             // it. Only the evaluator may still have work: the last evaluation.
             training.cancel();
-            ended = ended.and(service.map_err(panicked).flatten());
+            ended = ended.and(service.map_err(Failure::from).flatten());
             let is_evaluated = self.config.evaluator.evaluate_last && last_weights.borrow().is_some() && ended.is_ok();
             if !is_evaluated {
                 self.shutdown.cancel();
@@ -285,10 +284,6 @@ impl Services<'_> {
             Ok(())
         }
     }
-}
-
-fn panicked(panic: JoinError) -> Failure {
-    Failure::Service(panic.into())
 }
 
 /// The bus with a socket in the run's folder, so that `watch` finds it; without one if the file system or the keys rule

@@ -298,8 +298,12 @@ mod tests {
             ("true", toml::Value::Boolean(true)),
             ("\"3\"", toml::Value::String("3".into())),
             ("tcp/127.0.0.1:7447", toml::Value::String("tcp/127.0.0.1:7447".into())),
+            // A count may have an exponent.
+            ("1e6", 1_000_000.into()),
+            ("2.5e3", 2500.into()),
+            ("1.0", 1.0.into()),
         ] {
-            assert_eq!(parse_value(text), expected, "{text}");
+            assert_eq!(Override::parse(&format!("key={text}")).unwrap().value, expected, "{text}");
         }
     }
 
@@ -346,15 +350,6 @@ mod tests {
         let written = paper.to_toml();
         assert!(written.starts_with("base = \"none\"\n"), "{written}");
         assert_eq!(super::merge(&written, "file", Base::find("quickstart").unwrap(), &[]).unwrap(), paper);
-    }
-
-    #[test]
-    fn a_count_may_have_an_exponent() {
-        for (text, value) in
-            [("1e6", 1_000_000.into()), ("2.5e3", 2500.into()), ("1e-3", 0.001.into()), ("1.0", 1.0.into())]
-        {
-            assert_eq!(Override::parse(&format!("key={text}")).unwrap().value, value, "{text}");
-        }
     }
 
     #[test]

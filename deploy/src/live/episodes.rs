@@ -5,12 +5,9 @@ use std::time::{Duration, Instant};
 use evaluator::report::{End, EpisodeResult};
 use parking_lot::Mutex;
 
-use super::Terminal;
 use super::lines::left;
 use super::terminal::Progress;
-
-/// Minimum time between two lines without a terminal.
-const LINE_PERIOD: Duration = Duration::from_secs(10);
+use super::{LINE_PERIOD, Terminal};
 
 /// Counts episodes and shows the count, as a progress bar or as a line every ten seconds.
 #[derive(Debug)]

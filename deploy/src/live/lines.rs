@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use dashboard::{Sizes, waits};
-use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
+use proto::metrics::{ActorMetrics, LearnerMetrics};
 
 /// What a line about the learner needs in addition to its metrics.
 #[derive(Clone, Debug, Default)]
@@ -64,9 +64,13 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     let mut parts: Vec<String> = learner.not_saved.iter().map(waits).collect();
     parts.push(outcome);
     parts.extend(context.sizes.text().map(|sizes| format!("by blocks: {sizes}")));
-    parts.push(update(learner));
+    let ppo = &learner.ppo;
+    parts.push(format!(
+        "lag {:.1}  kl {:.4}  clip {:.2}  entropy {:.2}  explained variance {:.2}",
+        learner.policy_lag_mean, ppo.approx_kl, ppo.clip_fraction, ppo.entropy, ppo.explained_variance,
+    ));
     let actors = if context.n_actors == 1 { "actor" } else { "actors" };
-    let (rate, steps_per_s) = (learner.ppo.learning_rate, learner.env_steps_per_s);
+    let (rate, steps_per_s) = (ppo.learning_rate, learner.env_steps_per_s);
     let mut pace = format!("lr {rate:.1e}  {steps_per_s:.0} steps/s  {} {actors}", context.n_actors);
     if let Some(left) = context.left_s {
         pace += &format!("  {} left", duration(left));
@@ -89,22 +93,6 @@ pub(super) fn actor(actor: &ActorMetrics) -> String {
     )
 }
 
-/// What the newest update did.
-fn update(learner: &LearnerMetrics) -> String {
-    let ppo = &learner.ppo;
-    format!(
-        "lag {:.1}  kl {:.4}  clip {:.2}  entropy {:.2}  explained variance {:.2}",
-        learner.policy_lag_mean, ppo.approx_kl, ppo.clip_fraction, ppo.entropy, ppo.explained_variance,
-    )
-}
-
-/// Success over all blueprints of a report: of greedy actions, or of sampled ones if no greedy episodes were run.
-pub(super) fn success(report: &EvalReport) -> Option<f64> {
-    let all = &report.summary.all;
-    let rates = [all.greedy.success, all.sampled.success];
-    rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
-}
-
 /// The time left for the rest of `n_planned` if `n_ended` took `elapsed`.
 pub(super) fn left(n_ended: u64, n_planned: u64, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended.max(1) as f64;
@@ -122,38 +110,22 @@ pub(super) fn duration(seconds: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use proto::WeightsVersion;
-    use proto::metrics::{BusCounts, EpisodeMetrics, IngestCounts, METRICS_SCHEMA_VERSION, PpoMetrics};
+    use proto::metrics::{EpisodeMetrics, PpoMetrics};
     use proto::wilson::SuccessRate;
 
     use super::*;
 
     fn metrics() -> LearnerMetrics {
+        let sample = include_str!("../../../dashboard/tests/metrics/learner.json");
         LearnerMetrics {
-            schema_version: METRICS_SCHEMA_VERSION,
-            weights_version: WeightsVersion(3),
-            n_updates: 3,
             n_env_steps: 1500,
-            n_update_steps: 500,
             n_episodes: 0,
             elapsed_s: 90.0,
-            run_elapsed_s: 90.0,
             env_steps_per_s: 12.4,
-            update_s: 0.5,
             policy_lag_mean: 0.5,
-            policy_lag_max: 1,
-            policy_lag_histogram: vec![1, 1],
-            n_mailbox: 0,
-            expired_total: 0,
-            unmade_total: 0,
-            refused_total: 0,
             ppo: PpoMetrics { explained_variance: 0.25, learning_rate: 1e-3, ..PpoMetrics::default() },
-            proposals: None,
             episodes: EpisodeMetrics::default(),
-            ingest: IngestCounts::default(),
-            bus: BusCounts::default(),
-            task_probabilities: std::collections::BTreeMap::new(),
-            not_saved: None,
+            ..serde_json::from_str(sample).unwrap()
         }
     }
 

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bus::AliveWatch;
+use dashboard::success_rate;
 use evaluator::{Detail, EvaluationProgress, render};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use tokio::sync::watch;
@@ -52,7 +53,8 @@ pub async fn show_learning(
         context.sizes.add(&learner);
         context.n_actors = actors.borrow().len();
         context.left_s = pace.left_s(&learner, context.n_env_steps);
-        context.evaluated = reports.borrow().as_deref().and_then(lines::success);
+        let evaluated = reports.borrow().clone();
+        context.evaluated = evaluated.and_then(|of| success_rate(&of.summary.all.greedy, &of.summary.all.sampled));
         progress.set(learner.n_env_steps, &lines::parts(&learner, &context).join("\n"));
         // There may be no other metrics for a long time.
         let is_urgent = learner.not_saved != not_saved;

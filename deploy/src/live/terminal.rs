@@ -249,6 +249,15 @@ mod tests {
 
     use super::*;
 
+    /// Methods that find nobody at the other end.
+    macro_rules! fails {
+        ($($name:ident($($argument:ty)?))*) => {
+            $(fn $name(&self $(, _: $argument)?) -> io::Result<()> {
+                Err(io::ErrorKind::BrokenPipe.into())
+            })*
+        };
+    }
+
     /// A terminal whose window has been closed.
     #[derive(Debug)]
     struct Gone;
@@ -258,37 +267,8 @@ mod tests {
             80
         }
 
-        fn move_cursor_up(&self, _: usize) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn move_cursor_down(&self, _: usize) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn move_cursor_right(&self, _: usize) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn move_cursor_left(&self, _: usize) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn write_line(&self, _: &str) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn write_str(&self, _: &str) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn clear_line(&self) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
-
-        fn flush(&self) -> io::Result<()> {
-            Err(io::ErrorKind::BrokenPipe.into())
-        }
+        fails!(move_cursor_up(usize) move_cursor_down(usize) move_cursor_right(usize) move_cursor_left(usize));
+        fails!(write_line(&str) write_str(&str) clear_line() flush());
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::N_GRIPPERS;
 
-use super::{Connection, Connections, block_array};
+use super::{Connection, Connections};
 use crate::engine::Engine;
 
 /// Minimum number of blocks of a structure that can sag or slide.
@@ -69,7 +69,7 @@ impl Connections {
 
     /// Returns whether nothing can touch the component in the coming substep.
     fn has_room(&self, engine: &Engine, component: usize, room: f32) -> bool {
-        let reach = block_array(|block| {
+        let reach = BlockIdx::array(|block| {
             let velocity = engine.velocity(block);
             (velocity.linear.norm() + velocity.angular.norm() * self.table.radius(block)) * engine.substep_s()
         });

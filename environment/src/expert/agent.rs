@@ -13,14 +13,8 @@ use crate::config::EnvironmentConfig;
 #[derive(Clone, Debug)]
 pub struct ExpertAgent {
     config: EnvironmentConfig,
-    rows: Vec<Option<Row>>,
-}
-
-#[derive(Clone, Debug)]
-struct Row {
-    blueprint: Blueprint,
-    /// `None` if there is no assembly order.
-    expert: Option<Expert>,
+    /// The last blueprint of each world, and its expert if there is an assembly order.
+    rows: Vec<Option<(Blueprint, Option<Expert>)>>,
 }
 
 impl ExpertAgent {
@@ -40,13 +34,11 @@ impl Agent for ExpertAgent {
         _: &mut [ChaCha8Rng],
     ) -> Result<Vec<Decision>, Infallible> {
         self.rows.resize(observations.len(), None);
-        let decide = |(row, seen): (&mut Option<Row>, &Observation<'_>)| {
-            row.take_if(|row| row.blueprint != *seen.blueprint);
-            let row = row.get_or_insert_with(|| Row {
-                blueprint: seen.blueprint.clone(),
-                expert: Expert::new(&self.config, seen.blueprint).ok(),
-            });
-            let action = row.expert.as_mut().map_or(Action::IDLE, |expert| expert.act(seen.scene));
+        let decide = |(row, seen): (&mut Option<(Blueprint, Option<Expert>)>, &Observation<'_>)| {
+            row.take_if(|(blueprint, _)| *blueprint != *seen.blueprint);
+            let expert = || Expert::new(&self.config, seen.blueprint).ok();
+            let (_, expert) = row.get_or_insert_with(|| (seen.blueprint.clone(), expert()));
+            let action = expert.as_mut().map_or(Action::IDLE, |expert| expert.act(seen.scene));
             Decision { action, proposals: [None; 2], log_prob: 0.0, value: 0.0 }
         };
         Ok(self.rows.iter_mut().zip(observations).map(decide).collect())

@@ -2,7 +2,7 @@
 
 use blueprints::assembly::{Approach, MIN_BUILD_MARGIN_U, Parts};
 use blueprints::{BlockIdx, UNIT_M};
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Translation3, Vector3};
 
 use super::motion::{Limits, Load, Twist, gap};
 use super::view::View;
@@ -60,6 +60,13 @@ struct Job {
     target: Isometry3<f32>,
     /// Vector from the target to the start of the approach path, world frame, m.
     way: Vector3<f32>,
+}
+
+impl Job {
+    /// Returns the pose at the start of the approach path.
+    fn entry(&self) -> Isometry3<f32> {
+        Translation3::from(self.way) * self.target
+    }
 }
 
 impl Expert {
@@ -156,8 +163,7 @@ impl Expert {
     /// Returns the boxes of a job's piece at `offset` from its target.
     fn boxes_at(&self, view: &View, job: &Job, offset: Vector3<f32>) -> Vec<(Isometry3<f32>, Vector3<f32>)> {
         let to_gripped = view.pose(job.gripped).inverse();
-        let mut pose = job.target;
-        pose.translation.vector += offset;
+        let pose = Translation3::from(offset) * job.target;
         let boxed = |block: BlockIdx| (pose * (to_gripped * view.pose(block)), view.half_extents[block.get()]);
         job.parts.iter().map(|part| boxed(self.block(part))).collect()
     }
@@ -173,11 +179,7 @@ impl Expert {
     fn bring(&self, view: &View, job: &Job) -> Command {
         let load = Load::new(view, job.gripped);
         let from = view.pose(job.gripped);
-        let twist = way_in(&self.limits, from, job).unwrap_or_else(|| {
-            let mut entry = job.target;
-            entry.translation.vector += job.way;
-            load.go(view, &self.limits, &entry)
-        });
+        let twist = way_in(&self.limits, from, job).unwrap_or_else(|| load.go(view, &self.limits, &job.entry()));
         Command { block: job.gripped, twist }
     }
 
@@ -211,15 +213,9 @@ impl Expert {
             let block = self.block(part);
             (*view.pose(block), view.half_extents[block.get()])
         }));
-        let mut entry = job.target;
-        entry.translation.vector += job.way;
-        let place = WAITS_M.into_iter().map(|[x, y, z]| {
-            let mut place = entry;
-            place.translation.vector += Vector3::new(x, y, z);
-            place
-        });
+        let mut places = WAITS_M.into_iter().map(|offset| Translation3::from(offset) * job.entry());
         let free = |place: &Isometry3<f32>| !load.hits(view, place, 0.03) && load.is_apart(view, place, &avoid, 0.06);
-        let twist = match place.into_iter().find(free) {
+        let twist = match places.find(free) {
             Some(place) => load.go(view, &self.limits, &place),
             None => Twist { linear: Vector3::z(), angular: Vector3::zeros() },
         };
@@ -243,10 +239,8 @@ impl Expert {
     /// scene.
     fn fling(&self, view: &View, base: &Base, stray: BlockIdx) -> Command {
         let [x, y] = self.middle(&base.frame, base.side);
-        let middle = Vector3::new(x, y, 0.0);
-        let mut out = view.pose(stray).translation.vector - middle;
-        out.z = 0.0;
-        let out = out.try_normalize(0.01).unwrap_or_else(Vector3::x);
+        let at = view.pose(stray).translation;
+        let out = Vector3::new(at.x - x, at.y - y, 0.0).try_normalize(0.01).unwrap_or_else(Vector3::x);
         let linear = (out + Vector3::z() * FLING_RISE) * FLING_SPEED_MPS;
         Command { block: stray, twist: Twist { linear, angular: Vector3::zeros() } }
     }
@@ -265,13 +259,11 @@ fn way_in(limits: &Limits, from: &Isometry3<f32>, job: &Job) -> Option<Twist> {
     let on_the_way = aside <= WIDEST_M && turn <= WIDEST_RAD && (-0.03..=length + 0.03).contains(&along);
     let back = (aside - MAX_ASIDE_M).max(0.0) * ASIDE_SLOPE + (turn - MAX_TURN_RAD).max(0.0) * TURN_SLOPE_M;
     on_the_way.then(|| {
-        let mut to = job.target;
         let left = if along > BRAKE_M + 0.005 {
             (along - ENTRY_SPEED_MPS * CONTROL_DT_S).max(BRAKE_M)
         } else {
             (along - TOUCH_SPEED_MPS * CONTROL_DT_S).max(0.0)
         };
-        to.translation.vector += direction * left.max(back.min(length));
-        limits.toward(from, &to)
+        limits.toward(from, &(Translation3::from(direction * left.max(back.min(length))) * job.target))
     })
 }

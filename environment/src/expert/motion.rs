@@ -108,10 +108,6 @@ impl Load {
         Self { gripped, boxes }
     }
 
-    fn contains(&self, block: BlockIdx) -> bool {
-        self.boxes.iter().any(|&(b, _)| b == block)
-    }
-
     /// Moves the gripped block to `target`: along an arch if nothing is in the way, else straight to it or to a point
     /// above it, else up.
     ///
@@ -163,7 +159,7 @@ impl Load {
             let half = &view.half_extents[block.get()];
             lowest(&at, half) < -0.01
                 || BlockIdx::all().any(|other| {
-                    !self.contains(other)
+                    self.boxes.iter().all(|&(block, _)| block != other)
                         && gap((&at, half), (view.pose(other), &view.half_extents[other.get()])) < margin
                 })
         })

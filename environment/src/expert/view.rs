@@ -5,7 +5,6 @@ use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
 use nalgebra::{Isometry3, Vector3};
 use proto::{Joint, N_GRIPPERS, Scene};
 
-use crate::connections::block_array;
 use crate::convert::from_pose;
 
 /// A scene in terms of a goal.
@@ -28,7 +27,7 @@ impl View {
     /// Creates a view; `blocks` play the assembly's parts, in order.
     pub(super) fn new(scene: &Scene, blueprint: &Blueprint, blocks: &[BlockIdx]) -> Self {
         let poses = scene.blocks.each_ref().map(from_pose);
-        let half_extents = block_array(|block| Vector3::from(Inventory::standard().half_extents_m(block)));
+        let half_extents = BlockIdx::array(|block| Vector3::from(Inventory::standard().half_extents_m(block)));
         let mut part_of = [None; N_BLOCKS];
         for (part, block) in blocks.iter().enumerate() {
             part_of[block.get()] = Some(part);

@@ -2,6 +2,7 @@
 
 use std::f32::consts::TAU;
 
+use blueprints::pieces::pieces;
 use blueprints::{BlockIdx, Blueprint, Inventory, Placement};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proto::Joint;
@@ -53,18 +54,9 @@ pub(super) fn remaining_after(blueprint: &Blueprint, undone: u8, rng: &mut ChaCh
 }
 
 fn is_connected(blueprint: &Blueprint, blocks: &[BlockIdx]) -> bool {
-    let mut reached = vec![blocks[0]];
-    let mut next = 0;
-    while next < reached.len() {
-        let from = reached[next];
-        next += 1;
-        for &to in blocks {
-            if !reached.contains(&to) && blueprint.link(from, to).is_some() {
-                reached.push(to);
-            }
-        }
-    }
-    reached.len() == blocks.len()
+    let place = |block| blocks.iter().position(|&other| other == block);
+    let links = blueprint.links().iter().filter_map(|link| Some((place(link.a)?, place(link.b)?)));
+    pieces(blocks.len(), links).iter().all(|&piece| piece == 0)
 }
 
 /// Returns whether the center of mass is above the bounding rectangle of the lowest blocks.

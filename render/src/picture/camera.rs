@@ -27,10 +27,11 @@ pub struct Camera {
     /// Inverse distance from the viewer to the target in 1/m; 0 without perspective.
     closeness: f32,
     /// Pixels per meter at the target.
-    scale: f32,
+    pub(super) px_per_m: f32,
     /// Position of the target, in pixels from the upper left corner.
     center_px: [f32; 2],
-    light: Vector3<f32>,
+    /// Unit vector toward the light: above, and left of and slightly behind the viewer.
+    pub(super) light: Vector3<f32>,
 }
 
 /// A rectangle in the image plane of a view, in meters at the camera's target: right of the target, and below it.
@@ -87,10 +88,6 @@ impl View {
             Self::Top => [0.0, 90.0],
         }
     }
-
-    fn has_perspective(self) -> bool {
-        matches!(self, Self::FrontQuarter | Self::BackQuarter)
-    }
 }
 
 impl Camera {
@@ -113,12 +110,13 @@ impl Camera {
             Vector3::z() - right * 0.42 + outwards * 0.34
         };
         let (target, radius) = ball_around(points);
+        let has_perspective = matches!(view, View::FrontQuarter | View::BackQuarter);
         let mut camera = Self {
             size_px: [width, height],
             target,
             axes: [right, back.cross(&right), back],
-            closeness: if view.has_perspective() { 1.0 / (EYE_DISTANCES * 2.0 * radius) } else { 0.0 },
-            scale: 1.0,
+            closeness: if has_perspective { 1.0 / (EYE_DISTANCES * 2.0 * radius) } else { 0.0 },
+            px_per_m: 1.0,
             center_px: [0.0; 2],
             light: light.normalize(),
         };
@@ -134,7 +132,7 @@ impl Camera {
     /// Returns the smallest rectangle around all `points` (m, world) that are in front of the viewer.
     pub(crate) fn window(&self, points: &[Point3<f32>]) -> Option<Window> {
         let placed = points.iter().filter_map(|point| self.place(point)).map(|px| {
-            let place = std::array::from_fn(|axis| (px[axis] - self.center_px[axis]) / self.scale);
+            let place = std::array::from_fn(|axis| (px[axis] - self.center_px[axis]) / self.px_per_m);
             Window { low: place, high: place }
         });
         placed.reduce(|all, window| all.with(&window))
@@ -148,24 +146,14 @@ impl Camera {
         let Window { low, high } = window;
         let sides = self.size_px.map(|side| side as f32);
         let room = |axis: usize| (sides[axis] - 2.0 * margin_px).max(1.0) / (high[axis] - low[axis]).max(1e-6);
-        let scale = room(0).min(room(1)).min(max_px_per_m);
-        let center_px = std::array::from_fn(|axis| 0.5 * (sides[axis] - scale * (low[axis] + high[axis])));
-        Self { scale, center_px, ..self.clone() }
+        let px_per_m = room(0).min(room(1)).min(max_px_per_m);
+        let center_px = std::array::from_fn(|axis| 0.5 * (sides[axis] - px_per_m * (low[axis] + high[axis])));
+        Self { px_per_m, center_px, ..self.clone() }
     }
 
     /// Returns the width and height of the image in pixels.
     pub fn size_px(&self) -> [usize; 2] {
         self.size_px
-    }
-
-    /// Returns the pixels per meter at the center of the framed points.
-    pub(super) fn px_per_m(&self) -> f32 {
-        self.scale
-    }
-
-    /// Returns the unit vector toward the light: above, and left of and slightly behind the viewer.
-    pub(super) fn light(&self) -> &Vector3<f32> {
-        &self.light
     }
 
     /// Returns the sine of the angle between the line of sight at the target and the ground.
@@ -211,7 +199,7 @@ impl Camera {
         let from_target = point - self.target;
         let [right, up, back] = self.axes.map(|axis| axis.dot(&from_target));
         let depth = 1.0 - back * self.closeness;
-        [self.center_px[0] * depth + self.scale * right, self.center_px[1] * depth - self.scale * up, depth]
+        [self.center_px[0] * depth + self.px_per_m * right, self.center_px[1] * depth - self.px_per_m * up, depth]
     }
 }
 

@@ -60,16 +60,16 @@ impl Ground {
 
     /// Draws the ground on an image of the camera's size.
     pub(super) fn draw(&self, camera: &Camera, image: &mut Image) {
+        let Some(at) = camera.project(&Point3::new(self.center.x, self.center.y, 0.0)) else { return };
         if camera.elevation_sine() < FLAT_SINE {
-            self.draw_line(camera, image);
+            self.draw_line(camera, at, image);
         } else {
-            self.draw_grid(camera, image);
+            self.draw_grid(camera, at, image);
         }
     }
 
-    fn draw_line(&self, camera: &Camera, image: &mut Image) {
-        let Some(at) = camera.project(&Point3::new(self.center.x, self.center.y, 0.0)) else { return };
-        let radius_px = self.radius_m * camera.px_per_m();
+    fn draw_line(&self, camera: &Camera, at: Projected, image: &mut Image) {
+        let radius_px = self.radius_m * camera.px_per_m;
         for x in 0..image.width() {
             let share = 1.0 - ((x as f32 + 0.5 - at.x) / radius_px).abs();
             let opacity = (share * 2.0).clamp(0.0, 1.0) * 255.0;
@@ -79,9 +79,8 @@ impl Ground {
         }
     }
 
-    fn draw_grid(&self, camera: &Camera, image: &mut Image) {
+    fn draw_grid(&self, camera: &Camera, at: Projected, image: &mut Image) {
         let Some(to_ground) = to_ground(camera) else { return };
-        let Some(at) = camera.project(&Point3::new(self.center.x, self.center.y, 0.0)) else { return };
         let on_ground = |x: f32, y: f32| {
             let at = to_ground * Vector3::new(x, y, 1.0);
             Point2::new(at.x / at.z, at.y / at.z)
@@ -146,7 +145,7 @@ impl Shadow {
         self.width = size[0];
         self.mask.resize(size[0] * size[1], 0);
         let Some(area) = self.cast(camera, blocks, size) else { return };
-        let radius = (BLUR_M * camera.px_per_m()).clamp(1.0, MAX_BLUR_PX) as usize;
+        let radius = (BLUR_M * camera.px_per_m).clamp(1.0, MAX_BLUR_PX) as usize;
         let grown = |[from, to]: [usize; 2], limit: usize| {
             [from.saturating_sub(2 * radius + 1), (to + 2 * radius + 1).min(limit)]
         };
@@ -168,26 +167,23 @@ impl Shadow {
 
     /// Marks the shadows of all blocks; returns their bounds.
     fn cast(&mut self, camera: &Camera, blocks: &[Block], size: [usize; 2]) -> Option<Area> {
-        let light = camera.light();
-        let mut area: Option<Area> = None;
+        let light = camera.light;
+        let mut area = Area { x: [size[0], 0], y: [size[1], 0] };
         let onto_ground = |at: Point3<f32>| -> Option<Projected> { camera.project(&(at - light * (at.z / light.z))) };
         for block in blocks.iter().filter(|block| block.finish != Finish::Ghost) {
             // The lit sides cover the same pixels as all sides.
-            for side in block.sides().filter(|side| side.normal.dot(light) > 0.0) {
+            for side in block.sides().filter(|side| side.normal.dot(&light) > 0.0) {
                 let [Some(a), Some(b), Some(c), Some(d)] = side.corners.map(onto_ground) else { continue };
                 scan(&[a, b, c, d], size, |y, from, to| {
                     if from < to {
                         self.mask[y * size[0] + from..y * size[0] + to].fill(255);
-                        let known = area.unwrap_or(Area { x: [from, to], y: [y, y + 1] });
-                        area = Some(Area {
-                            x: [known.x[0].min(from), known.x[1].max(to)],
-                            y: [known.y[0].min(y), known.y[1].max(y + 1)],
-                        });
+                        area.x = [area.x[0].min(from), area.x[1].max(to)];
+                        area.y = [area.y[0].min(y), area.y[1].max(y + 1)];
                     }
                 });
             }
         }
-        area
+        (area.y[1] > 0).then_some(area)
     }
 
     fn blur_rows(&mut self, area: Area, radius: usize) {

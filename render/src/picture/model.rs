@@ -1,7 +1,7 @@
 //! The geometry of blocks: colored faces.
 
 use blueprints::{BlockIdx, Blueprint, Inventory, UNIT_M};
-use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use proto::{N_GRIPPERS, Scene};
 
 use super::image::Rgb;
@@ -57,11 +57,11 @@ pub(super) struct Side {
 
 /// Returns the blocks of a blueprint in its own frame.
 pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
-    let pose = |at: &blueprints::Placement| {
-        Isometry3::from_parts(Translation3::from(at.position_m()), at.rotation.quaternion())
-    };
-    let placed = blueprint.placements().iter();
-    placed.map(|at| Block { block: at.block, pose: pose(at), finish: Finish::Plain }).collect()
+    let placed = blueprint.placements().iter().map(|at| {
+        let pose = Isometry3::from_parts(at.position_m().into(), at.rotation.quaternion());
+        Block { block: at.block, pose, finish: Finish::Plain }
+    });
+    placed.collect()
 }
 
 /// Returns all blocks of a world; held blocks are framed in the gripper's color.
@@ -71,14 +71,11 @@ pub fn of_scene(scene: &Scene) -> Vec<Block> {
         let holder = scene.grippers.iter().position(holds);
         holder.map_or(Finish::Plain, |gripper| Finish::Framed(GRIPPER_COLORS[gripper]))
     };
-    let pose = |pose: &proto::Pose| {
-        let [x, y, z, w] = pose.orientation;
-        let rotation = nalgebra::UnitQuaternion::new_normalize(nalgebra::Quaternion::new(w, x, y, z));
-        Isometry3::from_parts(Translation3::from(pose.position), rotation)
-    };
-    BlockIdx::all()
-        .map(|block| Block { block, pose: pose(&scene.blocks[block.get()]), finish: finish(block) })
-        .collect()
+    let placed = BlockIdx::all().zip(&scene.blocks).map(|(block, at)| {
+        let rotation = UnitQuaternion::new_normalize(at.orientation.into());
+        Block { block, pose: Isometry3::from_parts(at.position.into(), rotation), finish: finish(block) }
+    });
+    placed.collect()
 }
 
 /// Returns the corners of all blocks (m, world), for framing.

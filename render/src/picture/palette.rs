@@ -51,20 +51,13 @@ impl Palette {
 
     /// Returns the palette indices of the pixels that the palette was built from.
     pub(crate) fn indices(&self, pixels: &[Rgb]) -> Vec<u8> {
-        let mut last = (Rgb::default(), None);
-        let number = |color: &Rgb| {
-            // Most pixels equal the previous one.
-            if let (known, Some(number)) = last
-                && known == *color
-            {
-                return number;
-            }
-            let at = self.known.partition_point(|(known, _)| known < color).min(self.known.len().saturating_sub(1));
-            let number = self.known[at].1;
-            last = (*color, Some(number));
-            number
-        };
-        pixels.iter().map(number).collect()
+        let mut numbers = Vec::with_capacity(pixels.len());
+        // Most pixels equal the previous one.
+        for same in pixels.chunk_by(|a, b| a == b) {
+            let at = self.known.partition_point(|(known, _)| *known < same[0]).min(self.known.len().saturating_sub(1));
+            numbers.extend(std::iter::repeat_n(self.known[at].1, same.len()));
+        }
+        numbers
     }
 }
 

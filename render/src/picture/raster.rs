@@ -97,27 +97,20 @@ pub(super) fn scan(corners: &[Projected; 4], [width, height]: [usize; 2], mut ro
     }
 }
 
-/// Returns the smallest range that contains both; either may be empty.
-fn union(a: &Range<usize>, b: Range<usize>) -> Range<usize> {
-    match (a.is_empty(), b.is_empty()) {
-        (true, _) => b,
-        (_, true) => a.clone(),
-        _ => a.start.min(b.start)..a.end.max(b.end),
-    }
-}
-
 impl Samples {
     /// Removes all surfaces and allocates samples for an image of this size in pixels.
     pub(super) fn clear(&mut self, [width, height]: [usize; 2]) {
         let (width, height) = (width * OVERSAMPLING, height * OVERSAMPLING);
         if (self.width, self.height) == (width, height) {
-            self.nearness[self.rows.start * width..self.rows.end * width].fill(f32::NEG_INFINITY);
+            let end = self.rows.end * width;
+            self.nearness[(self.rows.start * width).min(end)..end].fill(f32::NEG_INFINITY);
         } else {
             (self.width, self.height) = (width, height);
             self.nearness = vec![f32::NEG_INFINITY; width * height];
             self.colors = vec![[0; 3]; width * height];
         }
-        (self.rows, self.columns) = (0..0, 0..0);
+        // Empty, so that the first surface sets both ends.
+        (self.rows, self.columns) = (height..0, width..0);
     }
 
     /// Draws a surface where no earlier one is nearer. `shade` gives the color at the surface's two coordinates, or
@@ -134,10 +127,9 @@ impl Samples {
         let first = linear([a, b, d], [0.0, first * b.zoom, 0.0]);
         let second = linear([a, b, d], [0.0, 0.0, second * d.zoom]);
         let (width, height) = (self.width, self.height);
-        let (mut rows, mut columns) = (height..0, width..0);
         scan(&corners, [width, height], |y, from, to| {
-            rows = rows.start.min(y)..y + 1;
-            columns = columns.start.min(from)..columns.end.max(to);
+            self.rows = self.rows.start.min(y)..self.rows.end.max(y + 1);
+            self.columns = self.columns.start.min(from)..self.columns.end.max(to);
             let (x, center) = (from as f32 + 0.5, y as f32 + 0.5);
             let [nearness_0, zoom_0, first_0, second_0] = [nearness, zoom, first, second].map(|q| q.at(x, center));
             let line = y * width + from..y * width + to.max(from);
@@ -155,8 +147,6 @@ impl Samples {
                 }
             }
         });
-        self.rows = union(&self.rows, rows);
-        self.columns = union(&self.columns, columns);
     }
 
     /// Draws the surfaces on an image of the size passed to `clear`; each pixel is the mean of its samples.

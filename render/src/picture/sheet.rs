@@ -53,7 +53,8 @@ pub fn card(painter: &mut Painter, blueprint: &Blueprint, width: usize) -> Image
     let after_id = Type::Heading.width(id) + PAD;
     let title = fitted(blueprint.title(), Type::Body, room.saturating_sub(after_id));
     write(&mut image, [PAD + after_id, 15], &title, Type::Body, INK);
-    let facts = format!("{}, {} blocks, {} units", blueprint.split(), blueprint.n_blocks(), extent(blueprint));
+    let [x, y, z] = blueprint.extent_u();
+    let facts = format!("{}, {} blocks, {x} × {y} × {z} units", blueprint.split(), blueprint.n_blocks());
     write(&mut image, [PAD, 46], &fitted(&facts, Type::Body, room), Type::Body, GRAY);
     for (i, view) in CARD_VIEWS.into_iter().enumerate() {
         let x = i % 2 * side;
@@ -107,19 +108,6 @@ pub fn draw_blueprint(painter: &mut Painter, blueprint: &Blueprint, view: View, 
     let shorter = size_px[0].min(size_px[1]) as f32;
     let camera = Camera::framing(view, &corners(&blocks), size_px, MARGIN * shorter, shorter / MIN_SHOWN_M);
     painter.paint(&blocks, &camera, Ground::under(&blocks))
-}
-
-/// Returns the size along x, y, and z in units.
-fn extent(blueprint: &Blueprint) -> String {
-    let size = |axis: usize| {
-        let spans = blueprint.placements().iter().map(move |at| {
-            let half_size = at.size_cells()[axis];
-            (at.center_half_units[axis] - half_size, at.center_half_units[axis] + half_size)
-        });
-        let low = spans.clone().map(|(low, _)| low).min().unwrap_or(0);
-        (spans.map(|(_, high)| high).max().unwrap_or(0) - low) / 2
-    };
-    format!("{} × {} × {}", size(0), size(1), size(2))
 }
 
 /// Returns the color and label of each block type in use, then of the magnets.

@@ -1,6 +1,6 @@
 //! Pixels of pictures, worked out by hand.
 
-use blueprints::{BlockIdx, Catalog, Inventory, N_BLOCKS, UNIT_M};
+use blueprints::{BlockIdx, Catalog, Inventory, UNIT_M};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proto::{Gripper, Pose, Scene};
 
@@ -128,13 +128,8 @@ fn frame_has_the_gripper_color_and_ghost_has_only_edges() {
 fn held_blocks_are_framed() {
     let held = BlockIdx::try_from(5).unwrap();
     let pose = |i: usize| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] };
-    let scene = Scene {
-        blocks: std::array::from_fn(pose),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE), Some(Gripper { held: Some(held), ..Gripper::IDLE })],
-        n_heavy_contacts: 0,
-    };
+    let grippers = [Some(Gripper::IDLE), Some(Gripper { held: Some(held), ..Gripper::IDLE })];
+    let scene = Scene { grippers, ..Scene::at_rest(std::array::from_fn(pose)) };
     for (i, block) in of_scene(&scene).iter().enumerate() {
         let finish = if i == 5 { Finish::Framed(GRIPPER_COLORS[1]) } else { Finish::Plain };
         assert_eq!((block.block.get(), block.finish), (i, finish));

@@ -18,35 +18,30 @@ pub(crate) enum Type {
 }
 
 impl Type {
-    fn weight(self) -> FontWeight {
+    fn font(self) -> (FontWeight, RasterHeight) {
         match self {
-            Self::Small | Self::Body => FontWeight::Regular,
-            Self::BodyBold | Self::Heading => FontWeight::Bold,
-        }
-    }
-
-    fn raster_height(self) -> RasterHeight {
-        match self {
-            Self::Small => RasterHeight::Size16,
-            Self::Body | Self::BodyBold => RasterHeight::Size20,
-            Self::Heading => RasterHeight::Size24,
+            Self::Small => (FontWeight::Regular, RasterHeight::Size16),
+            Self::Body => (FontWeight::Regular, RasterHeight::Size20),
+            Self::BodyBold => (FontWeight::Bold, RasterHeight::Size20),
+            Self::Heading => (FontWeight::Bold, RasterHeight::Size24),
         }
     }
 
     /// Returns the height of a line in pixels.
     pub(crate) fn height(self) -> usize {
-        self.raster_height().val()
+        self.font().1.val()
     }
 
     /// Returns the width of a text in pixels.
     pub(crate) fn width(self, text: &str) -> usize {
-        get_raster_width(self.weight(), self.raster_height()) * text.chars().count()
+        let (weight, size) = self.font();
+        get_raster_width(weight, size) * text.chars().count()
     }
 }
 
 /// Writes a line with its upper left corner at `at`, in pixels; characters missing from the font become question marks.
 pub(crate) fn write(image: &mut Image, [left, top]: [usize; 2], text: &str, kind: Type, color: Rgb) {
-    let (weight, size) = (kind.weight(), kind.raster_height());
+    let (weight, size) = kind.font();
     let width = get_raster_width(weight, size);
     for (i, letter) in text.chars().enumerate() {
         let Some(raster) = get_raster(letter, weight, size).or_else(|| get_raster('?', weight, size)) else { continue };

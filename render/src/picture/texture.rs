@@ -72,7 +72,7 @@ fn lit(color: Rgb, brightness: f32) -> Rgb {
 impl Texture {
     fn new(camera: &Camera, block: &Block, side: &Side, surface: &Surface) -> Option<Self> {
         let gradients = surface.gradients()?;
-        let from_light = side.normal.dot(camera.light()).max(0.0);
+        let from_light = side.normal.dot(&camera.light).max(0.0);
         let shine = 0.56 + 0.36 * from_light + 0.16 * camera.facing(&side.normal) + 0.04 * side.normal.z;
         // At most its own color, so that it matches legends.
         let shine = shine.min(1.0);
@@ -89,7 +89,7 @@ impl Texture {
         let units_per_px = gradients.map(|[x, y]| x.hypot(y));
         // Foreshortening would narrow the edges of an oblique side.
         let edge_u = units_per_px.map(|per_px| breadth_u.max(MIN_EDGE_PX * per_px));
-        let has_sign = camera.px_per_m() * UNIT_M >= MIN_SIGN_PX;
+        let has_sign = camera.px_per_m * UNIT_M >= MIN_SIGN_PX;
         // The stroke of a minus lies along the coordinate that changes less from top to bottom.
         let [first, second] = gradients;
         let level = usize::from(first[1].abs() * units_per_px[1] > second[1].abs() * units_per_px[0]);

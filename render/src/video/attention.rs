@@ -105,12 +105,9 @@ impl<'e> EpisodeAttention<'e> {
         if grippers != network {
             return Err(AttentionError::Grippers { episode: grippers, network });
         }
-        let mut scenes = Vec::with_capacity(episode.scenes().len());
         let seen = |scene| Observation { scene, blueprint: episode.goal() };
         let observations: Vec<_> = episode.scenes().iter().map(seen).collect();
-        for some in observations.chunks(BATCH) {
-            scenes.extend(policy.attention(some));
-        }
+        let scenes: Vec<Attention> = observations.chunks(BATCH).flat_map(|some| policy.attention(some)).collect();
         if scenes[0].n_layers() == 0 {
             return Err(AttentionError::NoAttention);
         }
@@ -165,12 +162,10 @@ impl<'e> EpisodeAttention<'e> {
     /// Returns the block that each block attends to most after `n_done` steps, and the share; `None` for a gripper.
     pub fn most(&self, source: AttentionSource, n_done: usize) -> Option<[(BlockIdx, f32); N_BLOCKS]> {
         let AttentionSource::Head { layer, head } = source else { return None };
-        let most = |block| {
+        Some(BlockIdx::array(|block| {
             let shares = BlockIdx::all().zip(self.scenes[n_done].row(layer, head, block).iter().copied());
             shares.max_by(|(_, a), (_, b)| a.total_cmp(b)).expect("there are blocks")
-        };
-        let blocks: Vec<_> = BlockIdx::all().map(most).collect();
-        blocks.try_into().ok()
+        }))
     }
 
     /// Returns the shares of a head's attention after `n_done` steps.
@@ -255,7 +250,7 @@ impl AttentionSource {
         match self {
             Self::Gripper(_) if n_grippers == 1 => ("gripper's choice".to_owned(), GRIPPER_COLORS[0]),
             Self::Gripper(idx) => (format!("gripper {}'s choice", idx + 1), GRIPPER_COLORS[idx]),
-            Self::Head { layer, head } => (format!("layer {}, head {}", layer + 1, head + 1), super::frames::INK),
+            Self::Head { .. } => (self.to_string(), super::frames::INK),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Joins the segments of a trajectory into one episode.
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, N_BLOCKS};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 use proto::{Joint, Pose, RewardTerms, Scene, Status, Trajectory};
 
 /// Length of a control step in seconds. Trajectories do not contain it, so all worlds are shown at this pace.
@@ -168,10 +168,7 @@ impl Episode {
 /// Interpolates between two poses at `share`, 0 to 1.
 fn between(before: &Pose, after: &Pose, share: f32) -> Pose {
     let [from, to] = [before, after].map(|pose| Vector3::from(pose.position));
-    let [turn_from, turn_to] = [before, after].map(|pose| {
-        let [x, y, z, w] = pose.orientation;
-        UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
-    });
+    let [turn_from, turn_to] = [before, after].map(|pose| UnitQuaternion::new_normalize(pose.orientation.into()));
     // A half turn within a step has no shortest path; no block turns that fast.
     let turn = turn_from.try_slerp(&turn_to, share, 1e-6).unwrap_or(turn_to);
     Pose { position: from.lerp(&to, share).into(), orientation: turn.coords.into() }

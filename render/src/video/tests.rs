@@ -20,10 +20,8 @@ fn scene(along_m: f32) -> Scene {
     let row = |i: usize| [(i % 4) as f32 * 0.5, (i / 4) as f32 * 0.5, 0.05];
     let mut blocks = std::array::from_fn(|i| Pose { position: row(i), orientation: STILL });
     blocks[0].position = [along_m, -0.5, 0.05];
-    let held = BlockIdx::all().next();
-    let gripper = Gripper { held, ..Gripper::IDLE };
-    let speeds_mps = [0.0; N_BLOCKS];
-    Scene { blocks, speeds_mps, joints: Vec::new(), grippers: [Some(gripper), None], n_heavy_contacts: 0 }
+    let gripper = Gripper { held: BlockIdx::all().next(), ..Gripper::IDLE };
+    Scene { grippers: [Some(gripper), None], ..Scene::at_rest(blocks) }
 }
 
 /// Steps `first` to `last` of an episode of four. The first block moves 0.4 m per step, for a reward of 1 each.
@@ -40,7 +38,6 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
     };
     let status = if last == 4 { Status::Success } else { Status::Running };
     let stats = EpisodeStats { success: true, n_steps: 4, episode_return: reward };
-    let mut blocks = BlockIdx::all();
     Trajectory {
         actor: ActorId::try_from("by-hand".to_owned()).unwrap(),
         epoch: 0,
@@ -49,7 +46,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
         settings_hash: 0,
         task: Task {
             blueprint: goal().id().clone(),
-            assignment: std::array::from_fn(|_| blocks.next().unwrap()),
+            assignment: BlockIdx::array(|block| block),
             start: Start::Scattered,
             seed: 1,
         },

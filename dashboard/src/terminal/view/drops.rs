@@ -40,14 +40,11 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
     drops.add_all("watch", &run.unread);
     drops.add_all("watch's bus", &run.bus);
     let mut lines = drops.lines(width);
-    lines.extend(back_pressure(run));
+    // Segments that arrived while the mailbox was full: actors wait and send them again.
+    let n_refused = run.learner.as_ref().map(|heard| heard.value.ingest.full_total).filter(|n| *n > 0);
+    let said = |n| plain(format!("  back-pressure {}: came while the mailbox was full, sent again", count(n)));
+    lines.extend(n_refused.map(said));
     lines
-}
-
-/// Formats the number of segments that arrived while the mailbox was full. Actors wait and send them again.
-fn back_pressure(run: &RunView) -> Option<Line<'static>> {
-    let n_refused = run.learner.as_ref().map(|heard| heard.value.ingest.full_total).filter(|n| *n > 0)?;
-    Some(plain(format!("  back-pressure {}: came while the mailbox was full, sent again", count(n_refused))))
 }
 
 /// Returns the sum of all counters in a struct.

@@ -9,7 +9,7 @@ use ratatui::text::Line;
 use super::controls::Order;
 use super::format::{age, count, name, success};
 use super::styled::{columns, heading, plain};
-use crate::run_view::RunView;
+use crate::run_view::{RunView, success_rate};
 
 /// Formats the newest evaluation in lines of `width` characters.
 pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'static>> {
@@ -68,10 +68,7 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
         }
     });
     // Blueprints without episodes sort last.
-    let rate = |blueprint: &EvalBlueprint| {
-        let ways = [&blueprint.greedy.success, &blueprint.sampled.success];
-        ways.into_iter().find(|success| success.n_episodes > 0).map_or(f64::INFINITY, |success| success.rate)
-    };
+    let rate = |of: &EvalBlueprint| success_rate(&of.greedy, &of.sampled).unwrap_or(f64::INFINITY);
     blueprints.sort_by(|a, b| {
         let by = match order.by {
             0 => rate(a).total_cmp(&rate(b)),

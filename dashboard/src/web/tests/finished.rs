@@ -34,8 +34,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
     let task = tokio::spawn(page.show(all, shutdown.clone()));
     let ask =
         async |path: &str| send(address, format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await;
-    let get =
-        async |path: &str| serde_json::from_str::<Value>(ask(path).await.split_once("\r\n\r\n").unwrap().1).unwrap();
+    let get = async |path: &str| json_of(&ask(path).await);
     let about = get("/runs/1/api/about").await;
     assert_eq!((&about["run"], &about["kind"], &about["can_play"]), (&json!("b"), &json!("finished"), &json!(false)));
     let runs = json!([{ "name": "a", "base": "" }, { "name": "b", "base": "/runs/1" }]);

@@ -24,8 +24,8 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
     // With --path, ids refer to its blueprints.
     let named = if loaded.is_some() { Vec::new() } else { [&args.ids[..], &args.blueprint[..]].concat() };
-    let goals = Goals::open(&named)?;
-    inferred(&named)?.iter().for_each(|line| terminal.print(line));
+    let goals = Goals::open_beside(&named, None)?;
+    inferred(&named)?.iter().for_each(|(file, found)| terminal.print(&format!("{file}: {found}")));
     let shown = if named.is_empty() {
         select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
     } else {

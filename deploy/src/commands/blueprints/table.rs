@@ -1,6 +1,6 @@
 //! Output of `blueprints check`: a table of files, followed by the problems found.
 
-use blueprints::checks::{Check, Outcome, Report};
+use blueprints::checks::{Check, CheckResult, Outcome, Report};
 
 /// Renders one line per file with its id and how many checks it passed, and the names of those that it failed or that
 /// could not run; then one line for each thing that was inferred because the file leaves it open, one for each failure,
@@ -12,8 +12,15 @@ pub(super) fn render(reports: &[Report]) -> String {
     let (file_width, id_width) = (widest(0), widest(1));
     let line = |[file, id, checks]: &[String; 3]| format!("{file:<file_width$}  {id:<id_width$}  {checks}");
     let mut lines: Vec<String> = rows.iter().map(line).collect();
-    lines.extend(reports.iter().flat_map(findings));
-    lines.extend(reports.iter().flat_map(failures));
+    for Report { file, inferred, .. } in reports {
+        lines.extend(inferred.iter().map(|found| format!("{file}: {found}")));
+    }
+    for Report { file, results, .. } in reports {
+        lines.extend(results.iter().filter_map(|CheckResult { check, outcome }| match outcome {
+            Outcome::Failed { error } => Some(format!("{file}, {check}: {error}")),
+            Outcome::Passed | Outcome::Skipped => None,
+        }));
+    }
     let n_passed = reports.iter().filter(|report| report.passed()).count();
     lines.push(format!("{n_passed} of {} blueprints passed all checks", reports.len()));
     lines.join("\n")
@@ -42,19 +49,6 @@ fn cells(report: &Report) -> [String; 3] {
         checks.push(format!("{n_skipped} not run"));
     }
     [report.file.clone(), id, checks.join("; ")]
-}
-
-fn findings(report: &Report) -> Vec<String> {
-    report.inferred.iter().map(|found| format!("{}: {found}", report.file)).collect()
-}
-
-/// One line per failed check: file, check, and error.
-fn failures(report: &Report) -> Vec<String> {
-    let failed = report.results.iter().filter_map(|result| match &result.outcome {
-        Outcome::Failed { error } => Some(format!("{}, {}: {error}", report.file, result.check)),
-        Outcome::Passed | Outcome::Skipped => None,
-    });
-    failed.collect()
 }
 
 #[cfg(test)]

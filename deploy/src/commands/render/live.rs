@@ -5,11 +5,11 @@ use std::time::Duration;
 use anyhow::anyhow;
 use bus::{Bus, BusConfig, BusMode, SecurityConfig, TrajectoryViewer};
 use proto::{Trajectory, Valid};
-use render::video::{Collector, Episode};
+use render::video::Collector;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::recordings::{Goals, Named};
+use super::recordings::{Goals, Named, Recording};
 use super::{make_all, policy};
 use crate::cli::RenderArgs;
 use crate::commands::common::join_bus;
@@ -39,7 +39,7 @@ pub(in crate::commands) async fn run(
     let (recorded, ended) = record(&bus, args, &goals, &config, patience, &shutdown).await;
     bus.close().await;
     let episodes: Vec<Named> =
-        recorded.iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
+        recorded.into_iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
     make_all(&episodes, args, policy.as_ref(), terminal)?;
     ended
 }
@@ -115,12 +115,9 @@ async fn silent(args: &RenderArgs, collector: &Collector, bus: &Bus, config: &Va
     ))
 }
 
-fn named(idx: usize, segments: &[Trajectory], goals: &Goals) -> Result<Named, Failure> {
-    let refused = |reason: String| Failure::Input(format!("a live episode: {reason}"));
-    let first = segments.first().ok_or_else(|| refused("is empty".to_owned()))?;
-    let goal = goals.find(&first.task.blueprint).map_err(refused)?;
-    let episode = Episode::new(segments, goal).map_err(|error| refused(error.to_string()))?;
-    let blueprint = &first.task.blueprint;
-    let version = first.weights_version.0;
-    Ok((format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1).into(), episode))
+fn named(idx: usize, segments: Vec<Trajectory>, goals: &Goals) -> Result<Named, Failure> {
+    let Some(first) = segments.first() else { return Err(Failure::Input("a live episode: is empty".to_owned())) };
+    let (blueprint, version) = (&first.task.blueprint, first.weights_version.0);
+    let name = format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1).into();
+    Recording { name, files: vec!["a live episode".into()], segments }.episode(goals)
 }

@@ -47,7 +47,7 @@ impl Goals {
     }
 
     /// Finds the blueprint, or explains why it is missing.
-    pub(super) fn find(&self, id: &BlueprintId) -> Result<&Blueprint, String> {
+    fn find(&self, id: &BlueprintId) -> Result<&Blueprint, String> {
         let catalog = &self.catalog;
         catalog.get(id).ok_or_else(|| {
             let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
@@ -58,10 +58,10 @@ impl Goals {
 }
 
 /// The segments of one episode and the files that they come from.
-struct Recording {
-    name: OsString,
-    files: Vec<PathBuf>,
-    segments: Vec<Trajectory>,
+pub(super) struct Recording {
+    pub(super) name: OsString,
+    pub(super) files: Vec<PathBuf>,
+    pub(super) segments: Vec<Trajectory>,
 }
 
 /// Reads the episodes of all files, and of all recordings in run folders.
@@ -154,7 +154,7 @@ fn sorted(folder: &Path) -> io::Result<Vec<PathBuf>> {
 }
 
 impl Recording {
-    fn episode(self, goals: &Goals) -> Result<Named, Failure> {
+    pub(super) fn episode(self, goals: &Goals) -> Result<Named, Failure> {
         let refused = |reason: String| {
             let files: Vec<String> = self.files.iter().map(|path| path.display().to_string()).collect();
             Failure::Input(format!("{}: {reason}", files.join(", ")))
@@ -194,49 +194,19 @@ fn begins_like_one(bytes: &[u8]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::{BlockIdx, Catalog, N_BLOCKS};
-    use proto::{Action, BehaviorPolicy, Pose, RewardTerms, Scene, Start, Status, Task, Transition, WeightsVersion};
+    use proto::Status;
 
     use super::*;
 
     /// Steps `first` to `last` of an episode with the start that this blueprint has in every evaluation.
     fn segment(first: u16, last: u16) -> Trajectory {
-        let pose = |i: usize| Pose { position: [0.5 * i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] };
-        let scene = Scene {
-            blocks: std::array::from_fn(pose),
-            speeds_mps: [0.0; N_BLOCKS],
-            joints: Vec::new(),
-            grippers: [None, None],
-            n_heavy_contacts: 0,
-        };
-        let transition = Transition {
-            scene: scene.clone(),
-            action: Action { choices: [None, None], moves: [[0.0; 6]; N_BLOCKS] },
-            proposals: [None; 2],
-            behavior_log_prob: 0.0,
-            reward: RewardTerms::default(),
-            disturbance: None,
-        };
-        let mut blocks = BlockIdx::all();
-        Trajectory {
-            actor: "evaluator".parse().unwrap(),
-            epoch: 0,
-            seq: first.into(),
-            weights_version: WeightsVersion(0),
-            settings_hash: 0,
-            task: Task {
-                blueprint: "2_000".parse().unwrap(),
-                assignment: std::array::from_fn(|_| blocks.next().unwrap()),
-                start: Start::Scattered,
-                seed: 1,
-            },
-            behavior_policy: BehaviorPolicy::Greedy,
-            first_step: first,
-            transitions: vec![transition; usize::from(last - first)],
-            last_scene: scene,
-            status: Status::Running,
-            episode_stats: None,
-        }
+        let golden = "../tests/golden/run-0.1.0/replays/2_000/00000000-failure.trajectory";
+        let bytes = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(golden)).unwrap();
+        let mut segment = decode_recording(&bytes).unwrap();
+        segment.first_step = first;
+        segment.transitions.truncate(usize::from(last - first));
+        (segment.status, segment.episode_stats) = (Status::Running, None);
+        segment
     }
 
     #[test]
