@@ -13,14 +13,14 @@
 //!              │  j  │ waits             │  j  │              │  j  │
 //!              └─────┘                   └─────┘              └─────┘
 //!
-//!  hold: rise to half a meter
+//!  hold: rise to half a meter, level
 //! ```
 //!
 //! | kind | of | the move of i | proposed if |
 //! |---|---|---|---|
 //! | [`Join`](Kind::Join) | each j | its part of the way to its place relative to j; through the funnel until it is aligned | the blueprint connects the two, nothing does yet, and no wrong connection makes them move together |
 //! | [`Detach`](Kind::Detach) | each j | away from j, a little up, and turning | the two are connected, but not as the blueprint wants it |
-//! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground; nothing if it is higher | always |
+//! | [`Hold`](Kind::Hold) | i | up to half a meter above the ground, no further if it is higher; its piece is leveled | always |
 //!
 //! **The funnel.** On the way to its place, i stays off j in the direction in which their pieces part most freely, if
 //! possible without passing beside other blocks, whose magnets would catch it (`openings.rs`). If i and j belong to one
@@ -39,7 +39,13 @@
 //!
 //! **Parts of the way.** Of two pieces, the larger one waits until the smaller one is aligned, so high that there is room
 //! below the place where the other will be. Then both come, and the larger one goes a smaller part of the way. Pieces of
-//! one size go half of the way from the start. Where there is only one gripper, its block goes all the way.
+//! one size go half of the way from the start. Where there is only one gripper, its block goes all the way. If nothing
+//! moved in the last step, because both grippers waited for blocks that nobody held, the larger piece goes itself, the
+//! slower the larger it is.
+//!
+//! **Leveling.** A piece that is held, or waits, and reaches 40 cm and farther turns about the held block until it lies
+//! level, by 10 cm a step at its end: what hangs askew is higher up than need be, and breaks when it is let go. It keeps
+//! still once the other block is two steps away.
 //!
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.

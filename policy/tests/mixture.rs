@@ -219,9 +219,50 @@ fn the_larger_of_two_pieces_waits_above_the_ground_until_the_smaller_one_is_alig
         own.position[2].min(own.position[2] + (orientation(own) * place.position_m()).z)
     };
     assert!((lowest - 0.5).abs() < 1e-4, "{lowest}");
+    // If both grippers hold what stays, and nobody the smaller one, the larger one goes to it.
+    let third = BlockIdx::all().find(|&block| !goal.contains(block)).unwrap();
+    let both_held = |other: BlockIdx| {
+        let holding = |block| Gripper { held: Some(block), ..scene.grippers[0].unwrap() };
+        Scene { grippers: [large, other].map(|block| Some(holding(block))), ..scene.clone() }
+    };
+    assert_eq!(join(&both_held(small), &goal, large, small), [0.0; 6]);
+    let mut fetching = both_held(third);
+    let before = error(&fetching, &goal, large, small).0;
+    fetching.blocks[large.get()] = moved(&fetching.blocks[large.get()], &join(&fetching, &goal, large, small));
+    assert!(error(&fetching, &goal, large, small).0 < before - 0.1);
+
     place(&mut scene, &goal, small, large, Vector3::zeros(), Vector3::zeros());
     let (join, comes) = joins(&scene);
     assert!(!comes && join.iter().all(|x| x.abs() < 0.1));
+}
+
+#[test]
+fn a_long_piece_that_is_held_turns_until_it_is_level() {
+    let goal = goal("validation_13_002");
+    let members: Vec<BlockIdx> = goal.placements().iter().map(|placement| placement.block).collect();
+    let held = members[0];
+    let mut scene = scattered();
+    scene.joints = goal.links().iter().map(|link| Joint { a: link.a, b: link.b, relative: link.relative }).collect();
+    let rebuild = |scene: &mut Scene| {
+        members[1..].iter().for_each(|&block| place(scene, &goal, block, held, Vector3::zeros(), Vector3::zeros()));
+    };
+    let ends = |scene: &Scene| {
+        let at = |block: BlockIdx| Vector3::from(scene.blocks[block.get()].position);
+        members.iter().map(|&block| at(block) - at(held)).max_by(|a, b| a.norm().total_cmp(&b.norm())).unwrap()
+    };
+    rebuild(&mut scene);
+    let first = ends(&scene);
+    assert!(first.norm() > 0.4 && first.z.abs() > 0.1, "{first}");
+    for _ in 0..20 {
+        let (before, hold) = (ends(&scene), Slot::alone(Kind::Hold));
+        let hold = proposals(&scene, &goal).get(held, hold).unwrap().movement;
+        scene.blocks[held.get()] = moved(&scene.blocks[held.get()], &hold);
+        rebuild(&mut scene);
+        assert!((ends(&scene) - before).norm() < 0.1 + 1e-3);
+    }
+    let last = ends(&scene);
+    assert!(last.z.abs() < 1e-3 && (last.norm() - first.norm()).abs() < 1e-3, "{last}");
+    assert!((scene.blocks[held.get()].position[2] - 0.5).abs() < 1e-4);
 }
 
 #[test]

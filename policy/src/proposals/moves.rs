@@ -2,11 +2,11 @@
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use nalgebra::Vector3;
-use proto::{Move, Scene};
+use proto::{Gripper, Move, Scene};
 
 use super::detour::next_stop;
 use super::solid::Solid;
-use super::way::{STEP_M, Way};
+use super::way::{STEP_M, STEP_RAD, Way};
 use crate::geometry::Frame;
 
 const N: usize = N_BLOCKS;
@@ -44,6 +44,16 @@ const RETREAT_UP: f32 = 0.5;
 
 /// Height to which a held block, or the place of a block that is to come to it, rises, m: room for other blocks below.
 const HOLD_M: f32 = 0.5;
+/// Reach from which a piece is leveled, m, and how far its end moves for that in a step, m.
+const LEVEL_FROM_M: f32 = 0.4;
+const LEVEL_M: f32 = 0.1;
+/// Number of steps before another piece is there, from which on this one turns no more.
+const STILL_STEPS: f32 = 2.0;
+/// Speed below which a block is idle, m/s, with this radius for its turn, m.
+const IDLE_MPS: f32 = 0.15;
+const IDLE_RADIUS_M: f32 = 0.3;
+/// Number of blocks that one gripper can bring at full speed.
+const N_FAST: f32 = 2.0;
 /// Pull and lift of a detachment, as fractions of the speed limit.
 const PULL: f32 = 0.4;
 const PULL_UP: f32 = 0.06;
@@ -56,10 +66,14 @@ pub(super) struct Layout {
     pub(super) pieces: [usize; N],
     /// Number of blocks of each piece, at the index of its name.
     sizes: [u8; N],
-    /// Largest distance from a block's center to the center of another of its piece, m.
-    radii: [f32; N],
+    /// From a block's center to the farthest center of its piece, in the world, m.
+    reaches: [Vector3<f32>; N],
     /// Where blocks go back to that a gripper pushed in vain: vectors in the world, m.
     retreats: [Option<Vector3<f32>>; N],
+    /// Whether a gripper held a block of each piece in the last step, at the index of its name.
+    held: [bool; N],
+    /// Whether both grippers held blocks in the last step that stayed where they were, and were meant to.
+    is_idle: bool,
     /// Whether two blocks can move at once.
     has_two_grippers: bool,
 }
@@ -88,16 +102,24 @@ struct Surroundings {
 impl Layout {
     pub(super) fn new(scene: &Scene, pieces: [usize; N]) -> Self {
         let frames = scene.blocks.each_ref().map(Frame::new);
-        let radius = |i: usize| {
+        let reach = |i: usize| {
             let same = (0..N).filter(|&k| pieces[k] == pieces[i]);
-            same.map(|k| (frames[k].position - frames[i].position).norm_squared()).fold(0.0, f32::max).sqrt()
+            let ways = same.map(|k| frames[k].position - frames[i].position);
+            ways.max_by(|a, b| a.norm_squared().total_cmp(&b.norm_squared())).unwrap_or_default()
         };
         let mut sizes = [0; N];
         pieces.iter().for_each(|&piece| sizes[piece] += 1);
         let has_two_grippers = scene.grippers.iter().all(Option::is_some);
-        let radii = std::array::from_fn(radius);
-        let retreats = retreats(scene);
-        Self { frames, pieces, sizes, radii, retreats, has_two_grippers }
+        let mut held = [false; N];
+        let grippers = || scene.grippers.iter().flatten();
+        grippers().filter_map(|gripper| gripper.held).for_each(|block| held[pieces[block.get()]] = true);
+        let is_still = |gripper: &Gripper| {
+            let wanted_mps = wanted_mps(gripper, IDLE_RADIUS_M);
+            gripper.held.is_some_and(|block| wanted_mps < IDLE_MPS && scene.speeds_mps[block.get()] < IDLE_MPS)
+        };
+        let is_idle = has_two_grippers && grippers().all(is_still);
+        let (reaches, retreats) = (std::array::from_fn(reach), retreats(scene));
+        Self { frames, pieces, sizes, reaches, retreats, held, is_idle, has_two_grippers }
     }
 
     /// Returns i's part in joining j.
@@ -105,8 +127,11 @@ impl Layout {
         let Joining { mut way, normal, place_m, is_aligned } = *joining;
         let (own, other) = (self.size(i), self.size(j));
         let both_come = self.has_two_grippers && (is_aligned || own == other);
-        if self.has_two_grippers && own > other && !both_come {
-            return self.wait(i, &place_m);
+        let waits = self.has_two_grippers && own > other && !both_come;
+        // If nobody brings what both grippers wait for, it is fetched.
+        let fetches = waits && self.is_idle && !self.held[self.pieces[j.get()]];
+        if waits && !fetches {
+            return self.wait(i, &place_m, way.n_steps());
         }
         let is_apart = self.pieces[i.get()] != self.pieces[j.get()];
         if let Some(retreat) = self.retreats[i.get()].filter(|_| is_apart && own <= other) {
@@ -120,11 +145,13 @@ impl Layout {
             if off >= 0.0 {
                 way.shift = self.detour(i, &around, &way, &normal);
             }
-            if own <= other {
+            if own <= other || fetches {
                 way.shift += self.lift(i, &way);
             }
         }
-        if both_come { way.part(self.share(i, j)).to_move() } else { way.to_move() }
+        let share = if both_come { self.share(i, j) } else { 1.0 };
+        let speed = if fetches { (N_FAST / f32::from(own)).min(1.0) } else { 1.0 };
+        way.part(share).to_move().map(|x| speed * x)
     }
 
     /// Returns a move of i away from j that pulls, lifts, bends, and twists.
@@ -139,22 +166,37 @@ impl Layout {
         [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
     }
 
-    /// Returns a move of i up to half a meter.
+    /// Returns a move of i up to half a meter that levels its piece.
     pub(super) fn hold(&self, i: BlockIdx) -> Move {
-        self.rise(i, HOLD_M - self.frames[i.get()].position.z)
+        self.rise(i, HOLD_M - self.frames[i.get()].position.z, &self.leveling(i))
     }
 
-    /// Returns a move that holds i until the block that is to be at `place_m` has come.
-    fn wait(&self, i: BlockIdx, place_m: &Vector3<f32>) -> Move {
+    /// Returns a move that holds i until the block that is to be at `place_m` has come, which takes `n_steps`.
+    fn wait(&self, i: BlockIdx, place_m: &Vector3<f32>, n_steps: f32) -> Move {
         let own = &self.frames[i.get()];
         let lowest = own.position.z.min((own.position + own.axes * place_m).z);
-        self.rise(i, HOLD_M - lowest)
+        let turn = if n_steps > STILL_STEPS { self.leveling(i) } else { Vector3::zeros() };
+        self.rise(i, HOLD_M - lowest, &turn)
     }
 
-    /// Returns a move straight up by at most `height_m` and one step.
-    fn rise(&self, i: BlockIdx, height_m: f32) -> Move {
-        let up = self.frames[i.get()].localize(&Vector3::z()) * (height_m / STEP_M).clamp(0.0, 1.0);
-        [up.x, up.y, up.z, 0.0, 0.0, 0.0]
+    /// Returns a move straight up by at most `height_m` and one step, with a turn in the world, rad.
+    fn rise(&self, i: BlockIdx, height_m: f32, turn: &Vector3<f32>) -> Move {
+        let own = &self.frames[i.get()];
+        let up = own.localize(&Vector3::z()) * (height_m / STEP_M).clamp(0.0, 1.0);
+        let turn = own.localize(turn) / STEP_RAD;
+        [up.x, up.y, up.z, turn.x, turn.y, turn.z]
+    }
+
+    /// Returns the turn about i that brings the piece nearer to the horizontal, in the world, rad; zero for a short one.
+    fn leveling(&self, i: BlockIdx) -> Vector3<f32> {
+        let reach = &self.reaches[i.get()];
+        let length = reach.norm();
+        if length < LEVEL_FROM_M {
+            return Vector3::zeros();
+        }
+        let (tilt, most) = ((reach.z / length).clamp(-1.0, 1.0).asin(), LEVEL_M / length);
+        let axis = reach.cross(&Vector3::z()).try_normalize(1e-3).unwrap_or_else(Vector3::x);
+        axis * -tilt.clamp(-most, most)
     }
 
     fn size(&self, block: BlockIdx) -> u8 {
@@ -181,7 +223,7 @@ impl Layout {
     /// Returns how far off its place a block stays for now, along `normal`, m; below 0 once it is aligned.
     fn stand_off(&self, [i, j]: [BlockIdx; 2], around: &Surroundings, way: &Way, normal: &Vector3<f32>) -> f32 {
         let (lateral_m, turn_rad) = way.off_axis(normal);
-        let wide = self.radii[i.get()].min(self.radii[j.get()]);
+        let wide = self.reaches[i.get()].norm().min(self.reaches[j.get()].norm());
         let funnel = |left: f32| {
             let off = FUNNEL_SLOPE * (left * lateral_m - ALIGNED_M).max(0.0)
                 + (FUNNEL_PER_RAD + wide) * (left * turn_rad - ALIGNED_RAD).max(0.0);
@@ -238,15 +280,20 @@ impl Layout {
     }
 }
 
+/// Returns the speed that a gripper wanted of points at this radius, at most, m/s.
+fn wanted_mps(gripper: &Gripper, radius_m: f32) -> f32 {
+    Vector3::from(gripper.linear_velocity).norm() + radius_m * Vector3::from(gripper.angular_velocity).norm()
+}
+
 /// Returns where blocks go back to that moved much more slowly in the last step than their grippers wanted.
 fn retreats(scene: &Scene) -> [Option<Vector3<f32>>; N] {
     let mut retreats = [None; N];
     for gripper in scene.grippers.iter().flatten() {
         let Some(block) = gripper.held else { continue };
-        let [push, turn] = [gripper.linear_velocity, gripper.angular_velocity].map(Vector3::from);
-        let wanted_mps = push.norm() + PUSH_RADIUS_M * turn.norm();
+        let wanted_mps = wanted_mps(gripper, PUSH_RADIUS_M);
         if wanted_mps > PUSH_MPS && scene.speeds_mps[block.get()] < BLOCKED * wanted_mps {
-            let back = push.try_normalize(1e-3).map_or_else(Vector3::zeros, |push| -push);
+            let back =
+                Vector3::from(gripper.linear_velocity).try_normalize(1e-3).map_or_else(Vector3::zeros, |push| -push);
             retreats[block.get()] = (back + Vector3::z() * RETREAT_UP).try_normalize(1e-3).map(|way| way * RETREAT_M);
         }
     }
