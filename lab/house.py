@@ -32,8 +32,8 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so; the last was a line for each value that a tuple had bound.
 CEILINGS = {
-    "lines of Rust outside lab/": 72_880,
-    "of it without tests and comments": 37_810,
+    "lines of Rust outside lab/": 72_460,
+    "of it without tests and comments": 37_480,
     "settings": 115,
     "commands": 18,
     "direct dependencies": 53,
