@@ -263,6 +263,18 @@ fn a_long_piece_that_is_held_turns_until_it_is_level() {
     let last = ends(&scene);
     assert!(last.z.abs() < 1e-3 && (last.norm() - first.norm()).abs() < 1e-3, "{last}");
     assert!((scene.blocks[held.get()].position[2] - 0.5).abs() < 1e-4);
+    // While it waits for its last block, too, but not once that is two steps away.
+    let links_of = |block| goal.links().iter().filter(move |link| link.a == block || link.b == block);
+    let missing = members.iter().copied().find(|&block| links_of(block).count() == 1).unwrap();
+    let link = links_of(missing).next().unwrap();
+    let partner = if link.a == missing { link.b } else { link.a };
+    scene.joints.retain(|joint| joint.a != missing && joint.b != missing);
+    scene.blocks[held.get()].orientation = UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9).coords.into();
+    rebuild(&mut scene);
+    for (off_m, turns) in [(1.0, true), (0.5, false)] {
+        place(&mut scene, &goal, missing, partner, Vector3::repeat(off_m), Vector3::zeros());
+        assert_eq!(join(&scene, &goal, partner, missing)[3..] != [0.0; 3], turns, "{off_m} m");
+    }
 }
 
 #[test]

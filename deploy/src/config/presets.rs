@@ -29,7 +29,7 @@ pub const PRESETS: &[Preset] = presets![
     "quickstart": "a first look, at blueprints of two to four blocks",
         "about a minute on two cores, 0.3 GB of memory and 0.1 GB of disk";
     "laptop": "all training blueprints",
-        "about 35 minutes on two cores, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time";
+        "about an hour on one core, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time";
     "smoke": "for checks of the whole system: one goal of five blocks", "a minute on two cores";
     "paper": "the paper's protocol, for comparisons with it",
         "months on two cores: meant for hundreds of actors, and for weeks with them";

@@ -95,8 +95,8 @@ export class Attention {
     const scenes = this.attention.percent[source];
     const rest = (/** @type {number[]} */ scene) => scene.reduce((sum, x, block) => sum + (this.blocks.includes(block) ? 0 : x), 0);
     const rows = [...this.blocks.map((block) => (/** @type {number[]} */ scene) => scene[block]), rest];
-    const label = `Attention of ${this.attention.sources[source]} over ${scenes.length - 1} steps`;
     const last = scenes.length - 1;
+    const label = `Attention of ${this.attention.sources[source]} over ${last} steps`;
     const whole = { preserveAspectRatio: "none", role: "img" };
     const names = svg("svg", { ...whole, class: "names", viewBox: `0 0 1 ${rows.length}`, "aria-label": "Colors of the rows' blocks" });
     const drawing = svg("svg", { ...whole, viewBox: `0 0 ${last} ${rows.length}`, "aria-label": label });

@@ -119,5 +119,6 @@ fn named(idx: usize, segments: Vec<Trajectory>, goals: &Goals) -> Result<Named, 
     let Some(first) = segments.first() else { return Err(Failure::Input("a live episode: is empty".to_owned())) };
     let (blueprint, version) = (&first.task.blueprint, first.weights_version.0);
     let name = format!("{}-{:02}-{blueprint}-{version:08}", first.actor, idx + 1).into();
+    // There is no file, but this is what an error begins with.
     Recording { name, files: vec!["a live episode".into()], segments }.episode(goals)
 }
