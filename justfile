@@ -11,7 +11,7 @@ ci:
 # Run all steps, whatever changed, and those that are too slow for a change.
 nightly:
     CI_CHANGED_SINCE= .ci/run
-    .ci/run book demo examples release gpu pictures
+    .ci/run book demo examples release static gpu pictures
 
 # Make a book of the pages, and check its links; needs the network for mdBook.
 book:

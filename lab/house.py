@@ -30,10 +30,10 @@ GOALS = {
     "lines of README.md": 120,
 }
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
-# raises them in a commit that says so; the last was a test of when a piece that waits turns.
+# raises them in a commit that says so.
 CEILINGS = {
-    "lines of Rust outside lab/": 72_470,
-    "of it without tests and comments": 37_480,
+    "lines of Rust outside lab/": 68_980,
+    "of it without tests and comments": 35_580,
     "settings": 115,
     "commands": 18,
     "direct dependencies": 53,

@@ -28,7 +28,9 @@ OPTIONS = [
 PATIENCE_S = 300
 # What a script on the page begins with.
 PARTS = """
-    const { editor, heat, replay, snapshots } = await import(new URL('app.js', document.baseURI).href);
+    const from = (name) => import(new URL(name, document.baseURI).href);
+    const { editor, heat, replay, snapshots } = await from('app.js');
+    const { model } = await from('model.js');
     const part = (name) => document.querySelector(name);
     const text = (name) => part(name)?.textContent ?? '';
     const until = async (holds) => { while (!holds()) await new Promise((go) => setTimeout(go, 50)); };
@@ -87,9 +89,10 @@ class Program:
 
 
 class Browser:
-    def __init__(self, port: str) -> None:
+    def __init__(self, port: str, *options: str) -> None:
+        self.port = port
         self.base = f"http://127.0.0.1:{port}/session"
-        wanted = {"goog:chromeOptions": {"args": OPTIONS}, "goog:loggingPrefs": {"browser": "ALL"}}
+        wanted = {"goog:chromeOptions": {"args": [*OPTIONS, *options]}, "goog:loggingPrefs": {"browser": "ALL"}}
         self.base += "/" + self.ask("", {"capabilities": {"alwaysMatch": wanted}})["sessionId"]
         self.ask("/timeouts", {"script": 1000 * PATIENCE_S})
 
@@ -164,8 +167,11 @@ class Album:
         self.faults: list[str] = []
         self.n_states = 0
 
-    def show(self, state: Callable[..., None], *place: object, is_answered: bool = True) -> None:
-        """Brings the page to a state and looks at it; `is_answered` says whether a server answers it."""
+    def show(self, state: Callable[..., None], *place: object, is_answered: bool = True, logs: str = "") -> None:
+        """Brings the page to a state and looks at it; `is_answered` says whether a server answers it.
+
+        If the browser logs errors that are part of the state, they contain the text of `logs`.
+        """
         self.n_states += 1
         # The page before may have lost its server since.
         self.browser.open("about:blank")
@@ -181,6 +187,7 @@ class Album:
             self.faults.append(f"{name}: {error}")
             self.keep(f"{name}-failed")
         logged = (entry for entry in self.browser.errors() if is_answered or entry["source"] != "network")
+        logged = (entry for entry in logged if not logs or logs not in entry["message"])
         self.faults += [f"{name}: the browser logged {entry['message']}" for entry in logged]
         print(name, flush=True)
 
@@ -247,6 +254,26 @@ def not_built(page: Browser, address: str) -> None:
         await shows(999);
         require(part('#replay-verdict').className, 'verdict bad');
         require(text('#replay-verdict'), 'Not built: 2 of 3 connections, time is up; cube 3 is not in place');
+    """)
+
+
+def horizon(page: Browser, address: str) -> None:
+    """Looks from low above the ground, where the picture shows the horizon."""
+    page.open(f"{address}/?blueprint=14_003&step=40&camera=-0.6,-0.75,0.22")
+    page.on_page("""
+        await shows(40);
+        require([new URL(location.href).searchParams.get('camera'), replay.follows], ['-0.6,-0.75,0.22', true]);
+    """)
+
+
+def without_webgl(page: Browser, address: str) -> None:
+    page.open(f"{address}/?blueprint=6_000")
+    page.on_page("""
+        await says('#replay-note', 'This browser cannot draw in 3D (WebGL is off or missing)');
+        await says('#replay-note', 'Save video needs no WebGL.');
+        part('#stage-video').click();
+        await says('#stage-shared', 'Making the video');
+        await until(() => text('#stage-shared') === '');
     """)
 
 
@@ -340,6 +367,19 @@ def link_shown(page: Browser, address: str) -> None:
 
 
 def training(page: Browser, address: str) -> None:
+    """Looks at a training after a while, in which its preset evaluates nothing."""
+    page.open(address)
+    page.on_page("""
+        await until(() => model.learner?.elapsed_s > 15 && part('#health canvas') && text('#roster').includes('actor '));
+        require(text('#state'), 'live');
+        require(text('#health').startsWith('success in training'), true);
+        await says('#tiles', 'in training, nothing evaluated yet');
+        await says('#curves', 'No evaluation yet; the first comes after 100 k environment steps.');
+        await until(() => replay.episode && snapshots.all.length > 0);
+    """)
+
+
+def training_evaluated(page: Browser, address: str) -> None:
     page.open(address)
     page.on_page("""
         await until(() => heat.evaluations?.length >= 2 && part('#groups tbody tr') && part('#health canvas'));
@@ -349,7 +389,7 @@ def training(page: Browser, address: str) -> None:
 
 
 def training_ended(page: Browser, address: str, run: Program) -> None:
-    training(page, address)
+    training_evaluated(page, address)
     run.end(signal.SIGINT)
     page.on_page("""
         await until(() => text('#state') === 'ended');
@@ -424,6 +464,7 @@ def token_refused(page: Browser, address: str) -> None:
 OF_PLAY = (
     built,
     not_built,
+    horizon,
     gallery,
     gallery_search,
     drawing_with_a_problem,

@@ -4,8 +4,8 @@
     python lab/plots.py runs/<run>/report
     python lab/plots.py sweeps/<sweep>/report
 
-Every picture is beside its table: success.png, curves.png, and, if they were asked for, difference.png and
-comparison.png. That of a sweep, curves.png, has a part for each group.
+Every picture is beside its table: success.png, curves.png, and, if it was asked for, comparison.png. That of a
+sweep, curves.png, has a part for each group.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ def read(path: Path) -> list[list[str]]:
         return list(csv.reader(file))
 
 
-def heat_map(path: Path, title: str, lowest: float, colors: str) -> None:
+def heat_map(path: Path) -> None:
     header, *rows = read(path)
     steps = [int(step) for step in header[3:]]
     values = [[float(value) if value else float("nan") for value in row[3:]] for row in rows]
     figure, axes = pyplot.subplots(figsize=(9, 2 + 0.13 * len(rows)))
     # Each column reaches from the evaluation before to its own steps, so that the last one ends with the training.
     edges = [0 if steps[0] > 0 else -1, *steps]
-    image = axes.pcolormesh(edges, range(len(rows) + 1), values, vmin=lowest, vmax=1.0, cmap=colors)
+    image = axes.pcolormesh(edges, range(len(rows) + 1), values, vmin=0.0, vmax=1.0)
     axes.invert_yaxis()
     axes.set_yticks([row + 0.5 for row in range(len(rows))], [row[2] for row in rows], fontsize=6)
     axes.set_xlabel("environment steps")
-    axes.set_title(title)
+    axes.set_title("Success by blueprint")
     figure.colorbar(image, ax=axes)
     save(figure, path)
 
@@ -95,10 +95,8 @@ def main() -> None:
     if not (report / "success.csv").is_file():
         points(report / "curves.csv")
         return
-    heat_map(report / "success.csv", "Success by blueprint", 0.0, "viridis")
+    heat_map(report / "success.csv")
     lines(report / "curves.csv", "Success by group")
-    if (report / "difference.csv").is_file():
-        heat_map(report / "difference.csv", "Difference in success", -1.0, "RdBu")
     if (report / "comparison.csv").is_file():
         lines(report / "comparison.csv", "Success of several runs")
 

@@ -27,8 +27,8 @@ DOCS = [
     ("page.png", "?blueprint=14_003&step=40", (1280, 960), "await shows(40);"),
     ("draw.png", "?blueprint=2_000&step=0&draw=open", (1280, 880), pages.DRAW),
 ]
-SMALL = ["--preset", "quickstart"]
-SMALL += ["--set", "evaluator.every.steps=4000", "--set", "evaluator.episodes.n_episodes=2"]
+PLAIN = ["--preset", "quickstart"]
+SMALL = [*PLAIN, "--set", "evaluator.every.steps=4000", "--set", "evaluator.episodes.n_episodes=2"]
 CLIPBOARD = ["clipboardReadWrite", "clipboardSanitizedWrite"]
 TOKEN = "only-for-pictures"
 
@@ -58,10 +58,20 @@ def look_at_play(album: Album, binary: str, scratch: Path) -> None:
         album.show(pages.server_gone, play.said, play, is_answered=False)
 
 
+def look_without_webgl(album: Album, binary: str, scratch: Path) -> None:
+    usual = album.browser
+    with served([binary, "play", "--no-open"], scratch) as play, Browser(usual.port, "--disable-3d-apis") as plain:
+        album.browser = plain
+        album.show(pages.without_webgl, play.said, logs="WebGL")
+        album.browser = usual
+
+
 def look_at_training(album: Album, binary: str, scratch: Path) -> None:
-    train = [binary, "train", *SMALL, "--steps", "1e6", "--seed", "1", "--run-dir", "live"]
-    with served([*train, "--web", "127.0.0.1:0"], scratch) as run:
+    train = [binary, "train", "--steps", "1e6", "--seed", "1", "--web", "127.0.0.1:0"]
+    with served([*train, *PLAIN, "--run-dir", "plain"], scratch) as run:
         album.show(pages.training, run.said)
+    with served([*train, *SMALL, "--run-dir", "live"], scratch) as run:
+        album.show(pages.training_evaluated, run.said)
         album.show(pages.training_ended, run.said, run, is_answered=False)
 
 
@@ -85,7 +95,7 @@ def look(browser: Browser, binary: str, folder: Path) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     album = Album(browser, folder, AXE.read_text())
     with tempfile.TemporaryDirectory() as scratch:
-        for part in (look_at_play, look_at_training, look_at_runs):
+        for part in (look_at_play, look_without_webgl, look_at_training, look_at_runs):
             part(album, str(Path(binary).resolve()), Path(scratch))
     said = f"{album.n_states} states, pictures in {folder}; {len(album.faults)} faults"
     print(said, *album.faults, sep="\n  ")

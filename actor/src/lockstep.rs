@@ -3,7 +3,7 @@
 use environment::World;
 use proto::{Trajectory, Weights};
 
-use crate::rollout::{Rollout, RolloutSetup};
+use crate::rollout::Rollout;
 use crate::setup::ActorSetup;
 
 /// The worlds of one thread, stepped on request.
@@ -39,7 +39,7 @@ impl Lockstep {
                 }
                 rollout
             }
-            none => none.insert(first(&self.setup, seed, weights)?),
+            none => none.insert(Rollout::new(self.setup.clone(), 0, seed, self.setup.worlds(), weights)?),
         };
         let mut segments = rollout.step()?;
         for segment in &mut segments {
@@ -48,11 +48,4 @@ impl Lockstep {
         }
         Ok(segments)
     }
-}
-
-fn first(setup: &ActorSetup, seed: u64, weights: &Weights) -> anyhow::Result<Rollout<World>> {
-    let identity = setup.identity(0);
-    let worlds = (0..setup.config.n_worlds).map(|_| World::new(&setup.environment)).collect();
-    let setup = RolloutSetup { seed, ..RolloutSetup::new(setup, identity) };
-    Ok(Rollout::new(setup, worlds, weights)?)
 }

@@ -9,14 +9,13 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use bus::{Bus, BusError, MetricsPublisher, SendError, process_epoch_ms};
+use bus::{Bus, BusError, MetricsPublisher, SendError, unix_ms};
 use proto::metrics::{ActorMetrics, METRICS_SCHEMA_VERSION};
-use proto::{ActorId, Refusal, Role, Trajectory, keys};
+use proto::{Refusal, Role, Trajectory, keys};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-use crate::rollout::RolloutSetup;
 use crate::setup::ActorSetup;
 use shared::Shared;
 pub use shared::Summary;
@@ -27,6 +26,9 @@ pub const N_OUTSTANDING: usize = 2;
 
 /// Interval between publications of an actor's metrics.
 pub const METRICS_PERIOD: Duration = Duration::from_secs(2);
+
+/// Time over which an actor's speed is averaged.
+const SPEED_WINDOW: Duration = Duration::from_secs(30);
 
 /// Maximum time that shutdown waits for the backlog to be sent.
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(2);
@@ -64,7 +66,8 @@ pub async fn run(
         () = shutdown.cancelled() => return Ok(Summary::default()),
         alive = bus.declare_alive_alone(Role::Actor, id.as_str(), NAME_PATIENCE) => alive?,
     };
-    let epoch = process_epoch_ms();
+    // Distinguishes a restarted actor from its predecessor.
+    let epoch = unix_ms();
     tracing::info!(actor = %id, epoch, seed = setup.seed, "actor starts");
     let subscriber = bus.weights_subscriber().await?;
     let sender = bus.trajectory_sender(id).await?;
@@ -84,27 +87,16 @@ pub async fn run(
     let shared = Arc::new(Shared::new(&setup, sender, bus, &shutdown));
     // Dropping this guard ends the reporter on every return path.
     let uncounted = shared.counted.clone().drop_guard();
-    let reporter = Reporter {
-        shared: shared.clone(),
-        metrics,
-        metrics_sender,
-        id: id.clone(),
-        epoch,
-        n_worlds: (config.n_threads * config.n_worlds) as u64,
-        start: Instant::now(),
-    };
-    let reporting = tokio::spawn(reporter.run());
+    let n_worlds = (config.n_threads * config.n_worlds) as u64;
+    let reporting = tokio::spawn(report_metrics(shared.clone(), metrics, metrics_sender, epoch, n_worlds));
     let mut senders = JoinSet::new();
     for _ in 0..N_OUTSTANDING {
         senders.spawn(send_all(shared.clone()));
     }
     let mut threads = JoinSet::new();
     for thread_idx in 0..config.n_threads {
-        // The seed still needs the version of the first weights.
-        let rollout = RolloutSetup::new(&setup, setup.identity(epoch));
-        let (environment, weights, shared) = (setup.environment.clone(), weights.clone(), shared.clone());
-        let n_worlds = config.n_worlds;
-        threads.spawn_blocking(move || step_worlds(rollout, &environment, n_worlds, weights, &shared, thread_idx));
+        let (setup, weights, shared) = (setup.clone(), weights.clone(), shared.clone());
+        threads.spawn_blocking(move || step_worlds(setup, epoch, weights, &shared, thread_idx));
     }
 
     let stepped = shared.stop_with_first(&mut threads).await;
@@ -213,85 +205,67 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
     Sent::Done
 }
 
-/// Publishes the actor's metrics.
-struct Reporter {
+/// Publishes the actor's metrics until all segments are accounted for.
+async fn report_metrics(
     shared: Arc<Shared>,
-    metrics: MetricsPublisher,
+    publisher: MetricsPublisher,
     metrics_sender: watch::Sender<Option<ActorMetrics>>,
-    id: ActorId,
     epoch: u64,
     n_worlds: u64,
-    start: Instant,
-}
-
-impl Reporter {
-    async fn run(self) {
-        let mut speed = Speed::default();
-        loop {
-            let more = tokio::select! {
-                () = tokio::time::sleep(METRICS_PERIOD) => true,
-                () = self.shared.counted.cancelled() => false,
-            };
-            let now = Instant::now();
-            let report = self.shared.report();
-            let n_env_steps = report.counters.n_env_steps;
-            let env_steps_per_s = speed.at(now - self.start, n_env_steps);
-            // The oldest version, so that a thread that falls behind is visible.
-            let weights_version = self.shared.progress.lock().iter().map(|p| p.version).min().unwrap_or_default();
-            let learner_version = self.shared.learner_version.load(Ordering::Relaxed);
-            let metrics = ActorMetrics {
-                schema_version: METRICS_SCHEMA_VERSION,
-                actor: self.id.clone(),
-                epoch: self.epoch,
-                weights_version,
-                elapsed_s: (now - self.start).as_secs_f64(),
-                n_worlds: self.n_worlds,
-                n_env_steps,
-                env_steps_per_s,
-                n_episodes: report.counters.n_episodes,
-                policy_lag: learner_version.saturating_sub(weights_version.0),
-                n_trajectories_acked: report.n_trajectories_acked,
-                dropped: report.dropped,
-                learner_is_there: self.shared.sender.learner_is_there(),
-                bus: self.shared.bus.counts(),
-            };
-            if let Err(error) = self.metrics.put(&metrics).await {
-                tracing::debug!(%error, "metrics not published");
-            }
-            self.metrics_sender.send_replace(Some(metrics));
-            if !more {
-                return;
-            }
+) {
+    let start = Instant::now();
+    let mut reports = VecDeque::new();
+    loop {
+        let more = tokio::select! {
+            () = tokio::time::sleep(METRICS_PERIOD) => true,
+            () = shared.counted.cancelled() => false,
+        };
+        let elapsed = start.elapsed();
+        let Summary { counters, n_trajectories_acked, dropped } = shared.report();
+        // The oldest version, so that a thread that falls behind is visible.
+        let weights_version = shared.progress.lock().iter().map(|p| p.version).min().unwrap_or_default();
+        let learner_version = shared.learner_version.load(Ordering::Relaxed);
+        let metrics = ActorMetrics {
+            schema_version: METRICS_SCHEMA_VERSION,
+            actor: shared.actor.clone(),
+            epoch,
+            weights_version,
+            elapsed_s: elapsed.as_secs_f64(),
+            n_worlds,
+            n_env_steps: counters.n_env_steps,
+            env_steps_per_s: steps_per_s(&mut reports, elapsed, counters.n_env_steps),
+            n_episodes: counters.n_episodes,
+            policy_lag: learner_version.saturating_sub(weights_version.0),
+            n_trajectories_acked,
+            dropped,
+            learner_is_there: shared.sender.learner_is_there(),
+            bus: shared.bus.counts(),
+        };
+        if let Err(error) = publisher.put(&metrics).await {
+            tracing::debug!(%error, "metrics not published");
+        }
+        metrics_sender.send_replace(Some(metrics));
+        if !more {
+            return;
         }
     }
 }
 
-/// Steps per second over the last half minute: an actor that the learner keeps waiting steps in bursts, between which a
-/// shorter time would say 0.
-#[derive(Debug)]
-struct Speed {
-    /// Time since the start and steps until then, of the reports in that time and the last one before.
-    reports: VecDeque<(Duration, u64)>,
-}
-
-impl Default for Speed {
-    fn default() -> Self {
-        Self { reports: [(Duration::ZERO, 0)].into() }
+/// Adds a report, and returns the steps per second over the last half minute: an actor that the learner keeps waiting
+/// steps in bursts, between which a shorter time would say 0.
+///
+/// `reports`, empty at first, has the time since the start and the steps until then, of the reports in that half minute
+/// and the last one before.
+fn steps_per_s(reports: &mut VecDeque<(Duration, u64)>, elapsed: Duration, n_env_steps: u64) -> f64 {
+    if reports.is_empty() {
+        reports.push_back((Duration::ZERO, 0));
     }
-}
-
-impl Speed {
-    const WINDOW: Duration = Duration::from_secs(30);
-
-    /// Adds a report, and returns the speed up to it.
-    fn at(&mut self, now: Duration, n_env_steps: u64) -> f64 {
-        while self.reports.get(1).is_some_and(|(at, _)| *at + Self::WINDOW <= now) {
-            self.reports.pop_front();
-        }
-        let (since, before) = self.reports.front().copied().unwrap_or_default();
-        self.reports.push_back((now, n_env_steps));
-        (n_env_steps - before) as f64 / (now - since).as_secs_f64().max(1e-9)
+    while reports.get(1).is_some_and(|(at, _)| *at + SPEED_WINDOW <= elapsed) {
+        reports.pop_front();
     }
+    let (since, before) = reports[0];
+    reports.push_back((elapsed, n_env_steps));
+    (n_env_steps - before) as f64 / (elapsed - since).as_secs_f64().max(1e-9)
 }
 
 #[cfg(test)]

@@ -5,14 +5,14 @@ use proto::{
 };
 
 /// Origin of segments.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Identity {
+#[derive(Debug)]
+pub(crate) struct Identity {
     /// Name of the actor.
-    pub actor: ActorId,
+    pub(crate) actor: ActorId,
     /// Start time of the actor process, ms since 1970.
-    pub epoch: u64,
+    pub(crate) epoch: u64,
     /// Hash of the settings of policy and world.
-    pub settings_hash: u64,
+    pub(crate) settings_hash: u64,
 }
 
 /// Collects the steps of one episode.
@@ -33,17 +33,13 @@ pub(crate) struct SegmentBuilder {
 }
 
 /// Result of adding a step.
-#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Cut {
     /// No segment is complete yet.
     None,
     /// A segment, which gets its number where those of all threads meet.
     Segment(Box<Trajectory>),
-    /// The episode diverged, and steps of it were dropped.
-    Diverged {
-        /// Steps since the last cut, at least 1.
-        n_dropped_steps: u64,
-    },
+    /// The episode diverged, and the steps since the last cut were dropped.
+    Diverged,
 }
 
 impl SegmentBuilder {
@@ -78,7 +74,7 @@ impl SegmentBuilder {
         match status {
             Status::Diverged => {
                 self.transitions.clear();
-                return Cut::Diverged { n_dropped_steps: n_collected as u64 };
+                return Cut::Diverged;
             }
             Status::Running if n_collected < self.segment_len => return Cut::None,
             Status::Running | Status::Success | Status::TimeLimit => {}
@@ -104,58 +100,5 @@ impl SegmentBuilder {
             status,
             episode_stats: ended.then_some(stats),
         }))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::toy;
-
-    fn transition(connected: f32) -> Transition {
-        let mut transition = toy::trajectory().transitions.remove(0);
-        transition.reward.connected = connected;
-        transition
-    }
-
-    /// Pushes steps `(reward, version, status)` into segments of 3 and returns what they complete.
-    fn cuts(steps: &[(f32, u64, Status)]) -> Vec<Cut> {
-        let mut builder = SegmentBuilder::new(3, toy::task());
-        let push = |&(reward, version, status): &(f32, u64, Status)| {
-            let version = WeightsVersion(version);
-            let cut = builder.push(transition(reward), version, &toy::scene(), status, &toy::identity());
-            if status != Status::Running {
-                builder = SegmentBuilder::new(3, toy::task());
-            }
-            cut
-        };
-        steps.iter().map(push).filter(|cut| *cut != Cut::None).collect()
-    }
-
-    #[test]
-    fn an_episode_of_four_steps_in_segments_of_three() {
-        use Status::{Running, Success};
-        let cuts =
-            cuts(&[(1.0, 5, Running), (2.0, 4, Running), (3.0, 6, Running), (4.0, 7, Success), (8.0, 8, Success)]);
-        let [Cut::Segment(first), Cut::Segment(second), Cut::Segment(third)] = &cuts[..] else { panic!("{cuts:?}") };
-        assert_eq!((first.first_step, first.transitions.len(), first.status), (0, 3, Running));
-        assert_eq!((first.episode_stats, first.weights_version), (None, WeightsVersion(4)));
-        assert_eq!((second.first_step, second.transitions.len(), second.status), (3, 1, Success));
-        assert_eq!(second.weights_version, WeightsVersion(7));
-        // The return of the whole episode: 1 + 2 + 3 + 4.
-        let stats = second.episode_stats.unwrap();
-        assert_eq!((stats.success, stats.n_steps, stats.episode_return.connected), (true, 4, 10.0));
-        // Nothing of one episode carries over to the next.
-        let stats = third.episode_stats.unwrap();
-        assert_eq!((third.first_step, stats.n_steps, stats.episode_return.connected), (0, 1, 8.0));
-    }
-
-    #[test]
-    fn a_diverged_episode_loses_what_was_not_cut_yet() {
-        use Status::{Diverged, Running};
-        let running = (1.0, 0, Running);
-        let cuts = cuts(&[running, running, running, running, (0.0, 0, Diverged)]);
-        assert!(matches!(&cuts[0], Cut::Segment(first) if first.transitions.len() == 3));
-        assert_eq!(cuts[1], Cut::Diverged { n_dropped_steps: 2 });
     }
 }

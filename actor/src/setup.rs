@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use blueprints::Catalog;
-use environment::EnvironmentConfig;
-use policy::PolicyConfig;
-use proto::{ActorId, CanonicalSettings, Valid};
+use environment::{EnvironmentConfig, World};
+use policy::{PolicyConfig, PolicyError};
+use proto::{ActorId, CanonicalSettings, Valid, Weights};
 
 use crate::config::ActorConfig;
 use crate::segment::Identity;
@@ -29,12 +29,25 @@ pub struct ActorSetup {
 
 impl ActorSetup {
     /// Returns the origin of the segments of a process that started at `epoch`, in ms since 1970.
-    pub fn identity(&self, epoch: u64) -> Identity {
+    pub(crate) fn identity(&self, epoch: u64) -> Identity {
         Identity { actor: self.id.clone(), epoch, settings_hash: self.settings().hash() }
     }
 
     /// Returns the settings that must be the learner's.
     pub fn settings(&self) -> CanonicalSettings {
         CanonicalSettings::of_run(&self.policy, &self.environment)
+    }
+
+    /// Checks that weights are of a run with these settings.
+    ///
+    /// # Errors
+    /// [`PolicyError::OtherSettings`] with the first difference.
+    pub(crate) fn check(&self, weights: &Weights) -> Result<(), PolicyError> {
+        policy::check_settings(weights.version, &weights.settings, &self.settings())
+    }
+
+    /// Creates the worlds of a thread.
+    pub(crate) fn worlds(&self) -> Vec<World> {
+        (0..self.config.n_worlds).map(|_| World::new(&self.environment)).collect()
     }
 }

@@ -6,6 +6,7 @@ use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::sample_assignment;
 use proto::{Start, Task, settings};
 use rand::RngExt;
+use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
@@ -110,15 +111,8 @@ impl TaskSampler {
     /// # Errors
     /// If a filter selects nothing or an unknown blueprint.
     pub fn new(config: &TaskConfig, catalog: &Catalog) -> Result<Self, FilterError> {
-        let ids = config.filter.select(catalog)?;
-        let goals = ids.into_iter().map(|id| (id, 1.0));
-        let prebuilt = config.prebuilt_filter.select(catalog)?;
-        Ok(Self { config: config.clone(), goals: goals.collect(), prebuilt })
-    }
-
-    /// Returns the goals, in order.
-    pub fn goals(&self) -> impl Iterator<Item = &BlueprintId> {
-        self.goals.iter().map(|(id, ..)| id)
+        let goals = config.filter.select(catalog)?.into_iter().map(|id| (id, 1.0)).collect();
+        Ok(Self { config: config.clone(), goals, prebuilt: config.prebuilt_filter.select(catalog)? })
     }
 
     /// Adopts the learner's curriculum: its probabilities, restricted to the goals and uniform if none remain.
@@ -154,15 +148,11 @@ impl TaskSampler {
     }
 
     fn draw_start(&self, goal: &BlueprintId, rng: &mut ChaCha8Rng) -> Start {
-        let u: f64 = rng.random();
-        if u < self.config.prebuilt_probability {
-            let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| *id != goal).collect();
-            if others.is_empty() {
-                return Start::Scattered;
-            }
-            return Start::Prebuilt(others[rng.random_range(0..others.len())].clone());
+        if rng.random::<f64>() >= self.config.prebuilt_probability {
+            return Start::Scattered;
         }
-        Start::Scattered
+        let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| *id != goal).collect();
+        others.choose(rng).map_or(Start::Scattered, |&id| Start::Prebuilt(id.clone()))
     }
 }
 

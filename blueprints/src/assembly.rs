@@ -5,14 +5,13 @@
 //! slide along a face whose magnets would catch it one cell early.
 
 mod geometry;
-mod plan;
+mod shared;
 
 use std::collections::BTreeMap;
 
 use geometry::Geometry;
 pub use geometry::{Approach, Parts};
-pub(crate) use plan::Shared;
-pub use plan::{Plan, PlanStep, extent_m};
+pub(crate) use shared::Shared;
 
 use crate::{BlockIdx, Placement};
 
@@ -110,11 +109,6 @@ impl Assembly {
     /// Returns the blocks by part index.
     pub fn blocks(&self) -> &[BlockIdx] {
         &self.blocks
-    }
-
-    /// Returns the set of all parts.
-    pub fn all(&self) -> Parts {
-        Parts::first(self.blocks.len())
     }
 
     /// Returns the number of sides on which the structure can be built, at least 1. Side 0 is the best.

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::assembly::{Assembly, NoAssembly, Plan, PlanStep, Shared};
+use crate::assembly::{Assembly, NoAssembly, Shared};
 use crate::placement::extent_u;
 use crate::{BlockIdx, N_BLOCKS, Placement, RelativePlacement};
 
@@ -230,15 +230,10 @@ impl Blueprint {
         Some(RelativePlacement::between(self.placement(a)?, self.placement(b)?))
     }
 
-    /// Returns the assembly plan, computed by the first call on any copy; `None` if there is no assembly order.
-    pub fn plan(&self) -> Option<&Plan> {
-        self.assembly.plan(&self.placements)
-    }
-
-    /// Returns the step of `plan`, which must be this blueprint's, for a block; `None` for a block outside the
-    /// structure.
-    pub fn plan_step(&self, plan: &Plan, block: BlockIdx) -> Option<PlanStep> {
-        self.assembly.step(plan, block)
+    /// Returns the number of blocks that the preferred assembly order places before this one; `None` for a block
+    /// outside the structure, or if there is no order. The first call on any copy computes it.
+    pub fn rank(&self, block: BlockIdx) -> Option<usize> {
+        self.assembly.rank(&self.placements, block)
     }
 
     /// Returns the link between two blocks, given in either order.
@@ -287,6 +282,7 @@ mod tests {
         for (text, size) in [
             ("6_005", Some(6)),
             ("test_12_000", Some(12)),
+            ("test-literal_10_000", Some(10)),
             ("my-tower_6_000", Some(6)),
             ("6_5", None),
             ("1_000", None),
@@ -294,11 +290,21 @@ mod tests {
             ("My-tower_2", None),
             ("x", None),
         ] {
-            assert_eq!(text.parse::<BlueprintId>().unwrap().size(), size, "{text}");
+            let id: BlueprintId = text.parse().unwrap();
+            assert_eq!((id.to_string().as_str(), id.size()), (text, size));
         }
-        for bad in ["", "-a", "_a", "a b", "a/b", "a.b", "ä", &"a".repeat(65)] {
-            assert!(bad.parse::<BlueprintId>().is_err(), "{bad:?}");
+        for bad in ["", "-a", "_2_000", "2 000", "a/b", "../a", "a.toml", "a*", "ä", &"a".repeat(65)] {
+            let error = bad.parse::<BlueprintId>().unwrap_err().to_string();
+            assert!(error.starts_with(&format!("{bad:?} is not a blueprint id")), "{error}");
         }
+    }
+
+    #[test]
+    fn splits_round_trip_and_other_texts_are_refused() {
+        for split in Split::ALL {
+            assert_eq!(split.to_string().parse(), Ok(split));
+        }
+        assert!("tset".parse::<Split>().unwrap_err().to_string().starts_with("\"tset\" is not a split"));
     }
 
     #[test]

@@ -109,9 +109,7 @@ mod tests {
                 rotation: CubeRotation::IDENTITY,
             };
             let placements = vec![at(0, [1, 1, 1]), at(1, [3, 1, 1]), at(2, [1, 3, 1]), at(3, [1, 5, 3])];
-            let id = "4_999".parse().unwrap();
-            let assembly = Shared::new(&placements);
-            Blueprint { id, split: Split::Train, title: String::new(), placements, links: Vec::new(), assembly }
+            placed(Catalog::builtin().iter().next().unwrap(), placements)
         };
         assert_ne!(bars(true).canonical_hash(), bars(false).canonical_hash());
         assert_eq!(bars(true).canonical_hash(), bars(true).canonical_hash());

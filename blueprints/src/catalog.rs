@@ -2,15 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
 use std::{fs, io};
 
-use crate::checks::check_text;
+use crate::checks::{Inferred, check_text};
 use crate::error::BlueprintFileError;
 use crate::format::line_at;
-use crate::outside::printable;
+use crate::outside::{self, printable};
 use crate::{Blueprint, BlueprintId, Split};
 
 /// The `(file name, text)` of every compiled-in blueprint file.
@@ -42,7 +41,7 @@ pub struct Catalog {
 /// Reasons to reject a catalog.
 #[derive(Debug, thiserror::Error)]
 pub enum CatalogError {
-    /// A folder or file cannot be read.
+    /// A folder or file cannot be read, or a file is larger than [`MAX_FILE_BYTES`].
     #[error("cannot read {path}: {error}")]
     Io {
         /// The folder or file.
@@ -51,9 +50,6 @@ pub enum CatalogError {
         #[source]
         error: io::Error,
     },
-    /// The path does not exist.
-    #[error("cannot read {0}: there is no such file or folder; check the path")]
-    Missing(PathBuf),
     /// A file is not UTF-8 text.
     #[error("{path} is not UTF-8 text: line {line} has the byte {byte:#04x}; save it as UTF-8")]
     NotText {
@@ -64,9 +60,6 @@ pub enum CatalogError {
         /// The invalid byte.
         byte: u8,
     },
-    /// A file is larger than [`MAX_FILE_BYTES`].
-    #[error("{0} has more than {MAX_FILE_BYTES} bytes: that is no blueprint")]
-    TooLarge(PathBuf),
     /// A file is not a valid blueprint.
     #[error(transparent)]
     Blueprint(#[from] BlueprintFileError),
@@ -133,9 +126,22 @@ impl Catalog {
     /// # Errors
     /// The first error, in file name order; see [`CatalogError`].
     pub fn load(path: &Path) -> Result<Self, CatalogError> {
+        Ok(Self::load_with_inferred(path)?.0)
+    }
+
+    /// Like [`Self::load`], with what the files leave open, each after the name of its file.
+    ///
+    /// # Errors
+    /// As for [`Self::load`].
+    pub fn load_with_inferred(path: &Path) -> Result<(Self, Vec<(String, Inferred)>), CatalogError> {
         let files = read_files(path)?;
-        let files = files.iter().map(|(file, text)| (file.as_str(), text.as_str()));
-        Self::from_checked(checked(files)?)
+        let (mut checked, mut inferred) = (Vec::new(), Vec::new());
+        for (file, text) in &files {
+            let report = check_text(file, text);
+            checked.push((file.as_str(), report.blueprint?));
+            inferred.extend(report.inferred.into_iter().map(|found| (file.clone(), found)));
+        }
+        Ok((Self::from_checked(checked)?, inferred))
     }
 
     /// Builds a catalog from `(file name, text)` pairs; every file must be named after its blueprint.
@@ -143,7 +149,8 @@ impl Catalog {
     /// # Errors
     /// The first error, in the order given.
     pub fn from_files<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self, CatalogError> {
-        let files = checked(files)?;
+        let check = |(file, text)| Ok((file, check_text(file, text).blueprint?));
+        let files = files.into_iter().map(check).collect::<Result<Vec<_>, CatalogError>>()?;
         for (file, blueprint) in &files {
             let id = blueprint.id();
             if Path::new(file).file_name().and_then(|name| name.to_str()) != Some(&format!("{id}.toml")) {
@@ -213,6 +220,12 @@ impl Catalog {
         !self.held_out.contains(&blueprint.outline_hash())
     }
 
+    /// Returns the held-out blueprint that keeps this one from training, if any.
+    pub fn held_out_like(&self, blueprint: &Blueprint) -> Option<&Blueprint> {
+        let outline = blueprint.outline_hash();
+        self.iter().find(|other| other.split() != Split::Train && other.outline_hash() == outline)
+    }
+
     /// Iterates over the blueprints by split, then size, then id.
     pub fn iter(&self) -> std::slice::Iter<'_, Blueprint> {
         self.blueprints.iter()
@@ -234,24 +247,16 @@ impl Catalog {
     }
 }
 
-/// Checks files and returns their names and blueprints.
-fn checked<'a>(files: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Vec<(&'a str, Blueprint)>, CatalogError> {
-    files.into_iter().map(|(file, text)| Ok((file, check_text(file, text).blueprint?))).collect()
-}
-
 /// Reads the `(path to show, text)` of every `*.toml` file of a folder, sorted by name, or of one file with any name. In
 /// a folder, names that begin with a dot are passed over: they are the locks and copies of editors and file systems.
 ///
 /// # Errors
-/// [`CatalogError::Empty`] for a folder without such files, [`CatalogError::Missing`] or [`CatalogError::Io`] with the
-/// path that cannot be read, [`CatalogError::TooLarge`], or [`CatalogError::NotText`].
+/// [`CatalogError::Empty`] for a folder without such files, [`CatalogError::Io`] with the path that cannot be read, or
+/// [`CatalogError::NotText`].
 pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
-        |error: io::Error| match error.kind() {
-            io::ErrorKind::NotFound => CatalogError::Missing(path),
-            _ => CatalogError::Io { path, error },
-        }
+        |error: io::Error| CatalogError::Io { path, error }
     };
     let mut paths = Vec::new();
     if path.is_dir() {
@@ -271,12 +276,7 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
         paths.push(path.to_owned());
     }
     let read = |path: PathBuf| {
-        let mut bytes = Vec::new();
-        let file = fs::File::open(&path).and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
-        file.map_err(failed(&path))?;
-        if bytes.len() as u64 > MAX_FILE_BYTES {
-            return Err(CatalogError::TooLarge(path));
-        }
+        let bytes = outside::read(&path, MAX_FILE_BYTES).map_err(failed(&path))?;
         let text = text_of(&path, bytes)?;
         Ok((printable(&path.display().to_string()).into_owned(), text))
     };

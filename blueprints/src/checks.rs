@@ -13,8 +13,8 @@ use serde::Serialize;
 use crate::assembly::Shared;
 use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
 use crate::format::{Draft, MagnetName, NamedPair};
+pub use crate::infer::FoundTurn;
 use crate::infer::{self, Completed};
-pub use crate::infer::{FoundTurn, WayReason};
 use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
@@ -123,7 +123,7 @@ pub enum Inferred {
 impl Inferred {
     /// Returns whether this is one of several possibilities.
     pub fn is_a_choice(&self) -> bool {
-        matches!(self, Self::Turn { found, .. } if found.n_ways > 1 || found.may_be_more)
+        matches!(self, Self::Turn { found, .. } if found.is_a_choice())
     }
 }
 
@@ -217,10 +217,9 @@ pub fn check_text(file: &str, text: &str) -> Report {
     for check in Check::ALL.into_iter().take(Check::ALL.len() - 1).skip(run.results.len()) {
         run.results.push(CheckResult { check, outcome: Outcome::Skipped });
     }
-    let blueprint = match (run.first_error, blueprint) {
-        (None, Some(blueprint)) => Ok(blueprint),
-        (Some(error), _) => Err(error),
-        (None, None) => unreachable!("without an error every stage has run"),
+    let blueprint = match run.first_error {
+        Some(error) => Err(BlueprintFileError { file: file.to_owned(), error }),
+        None => Ok(blueprint.expect("without an error every stage has run")),
     };
     Report {
         file: file.to_owned(),
@@ -228,7 +227,7 @@ pub fn check_text(file: &str, text: &str) -> Report {
         results: run.results,
         inferred,
         completed,
-        blueprint: blueprint.map_err(|error| BlueprintFileError { file: file.to_owned(), error }),
+        blueprint,
     }
 }
 
@@ -242,7 +241,7 @@ fn first_good(
     let is_good = |way: &Completed| Structure::new(draft, &place(way)).check().is_ok();
     // If there is only one completion, the checks that follow judge it.
     let at = if completions.len() == 1 { 0 } else { completions.iter().position(is_good).unwrap_or(0) };
-    let chosen = completions.get(at)?.after(&completions[..at]);
+    let chosen = completions.into_iter().nth(at)?;
     let placements = place(&chosen);
     Some((chosen, placements))
 }
@@ -292,18 +291,18 @@ impl Run {
 }
 
 /// A placed drawing with all magnet pairs that meet; blocks are numbered in file order.
-struct Structure<'a> {
+pub(crate) struct Structure<'a> {
     draft: &'a Draft,
     placements: &'a [Placement],
     attracting: BTreeSet<NamedPair>,
     /// Repelling magnet pairs, each with the point where they meet, in half units.
-    repelling: Vec<(NamedPair, [i32; 3])>,
+    pub(crate) repelling: Vec<(NamedPair, [i32; 3])>,
     /// Contacts where blocks attract each other.
-    joints: Vec<Joint>,
+    pub(crate) joints: Vec<Joint>,
 }
 
 impl<'a> Structure<'a> {
-    fn new(draft: &'a Draft, placements: &'a [Placement]) -> Self {
+    pub(crate) fn new(draft: &'a Draft, placements: &'a [Placement]) -> Self {
         let inventory = Inventory::standard();
         let mut attracting = BTreeSet::new();
         let mut repelling = Vec::new();
@@ -330,7 +329,7 @@ impl<'a> Structure<'a> {
     }
 
     /// Runs the checks of the structure in order, up to the first failure.
-    fn check(&self) -> Result<(), BlueprintError> {
+    pub(crate) fn check(&self) -> Result<(), BlueprintError> {
         self.overlap()?;
         self.polarity()?;
         self.connections()?;
@@ -360,11 +359,7 @@ impl<'a> Structure<'a> {
 
     /// Returns the file's text with everything inferred filled in; blocks keep their names.
     fn completed(&self, blueprint: &Blueprint) -> String {
-        let name = |placement: &Placement| {
-            let i = self.placements.iter().take_while(|p| p.block != placement.block).count();
-            self.name(i)
-        };
-        let names: Vec<String> = blueprint.placements().iter().map(name).collect();
+        let names: Vec<String> = blueprint.placements().iter().map(|p| self.name_of(p.block)).collect();
         blueprint.to_toml_with(&names, self.draft.provenance.as_deref().unwrap_or("not given"))
     }
 
@@ -372,12 +367,16 @@ impl<'a> Structure<'a> {
         self.draft.blocks[i].name.clone()
     }
 
+    fn name_of(&self, block: BlockIdx) -> String {
+        self.name(self.placements.iter().take_while(|p| p.block != block).count())
+    }
+
     fn overlap(&self) -> Result<(), BlueprintError> {
         let mut filled = BTreeMap::new();
         for (i, placement) in self.placements.iter().enumerate() {
             for cell in placement.filled_cells() {
                 if let Some(other) = filled.insert(cell, i) {
-                    let center = self.drawn(cell.map(|x| 2 * x + 1));
+                    let center = self.draft.drawn(cell.map(|x| 2 * x + 1), self.placements);
                     let cell = center.map(|x| (x - 1) / 2);
                     return Err(BlueprintError::Overlap { a: self.name(other), b: self.name(i), cell });
                 }
@@ -391,7 +390,7 @@ impl<'a> Structure<'a> {
             let a = self.name(i);
             let b = self.name(j);
             let pair = format!("{p} {q}");
-            let place_u = self.drawn(place).map(|x| x as f32 / 2.0);
+            let place_u = self.draft.drawn(place, self.placements).map(|x| x as f32 / 2.0);
             let advice = if [i, j].iter().any(|&k| self.draft.blocks[k].turn.is_some()) {
                 PolesAdvice::Turn
             } else if self.draft.blocks.iter().any(|block| block.turn.is_some()) {
@@ -401,11 +400,6 @@ impl<'a> Structure<'a> {
             };
             Err(BlueprintError::LikePoles { a, b, pair, place_u, advice })
         })
-    }
-
-    /// Converts a point of the structure to the file's coordinates, both in half units.
-    fn drawn(&self, point: [i32; 3]) -> [i32; 3] {
-        self.draft.drawn(point, self.placements)
     }
 
     fn connections(&self) -> Result<(), BlueprintError> {
@@ -424,10 +418,8 @@ impl<'a> Structure<'a> {
 
     fn connected(&self) -> Result<(), BlueprintError> {
         let pieces = pieces(self.placements.len(), self.joints.iter().map(|joint| (joint.a, joint.b)));
-        pieces
-            .iter()
-            .position(|&piece| piece != 0)
-            .map_or(Ok(()), |i| Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) }))
+        let loose = pieces.iter().position(|&piece| piece != 0);
+        loose.map_or(Ok(()), |i| Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) }))
     }
 
     fn stands(&self) -> Result<(), BlueprintError> {
@@ -442,23 +434,18 @@ impl<'a> Structure<'a> {
         let cells: Vec<_> = self.placements.iter().map(|p| p.filled_cells()).collect();
         overloaded(&cells, &self.joints, 0).map_or(Ok(()), |(at, load)| {
             let joint = &self.joints[at];
-            Err(BlueprintError::Overloaded {
-                a: self.name(joint.a),
-                b: self.name(joint.b),
-                n_pairs: joint.places.len(),
-                force_n: load.force_n,
-                torque_nm: load.torque_nm,
-                max_force_n: load.max_force_n,
-                max_torque_nm: load.max_torque_nm,
-            })
+            let n_pairs = joint.places.len();
+            Err(BlueprintError::Overloaded { a: self.name(joint.a), b: self.name(joint.b), n_pairs, load })
         })
     }
 
-    fn assembly(&self) -> Result<(), BlueprintError> {
+    pub(crate) fn assembly(&self) -> Result<(), BlueprintError> {
         // In the order of the blueprint, because the search depends on it among equals.
         Assembly::of_placements(&self.by_block()).map(|_| ()).map_err(|NoAssembly { missing, gave_up }| {
-            let name = |block: &BlockIdx| self.placements.iter().position(|p| p.block == *block).map(|i| self.name(i));
-            BlueprintError::NoAssembly { blocks: missing.iter().filter_map(name).collect(), gave_up }
+            BlueprintError::NoAssembly {
+                blocks: missing.into_iter().map(|block| self.name_of(block)).collect(),
+                gave_up,
+            }
         })
     }
 
@@ -468,12 +455,12 @@ impl<'a> Structure<'a> {
         placements
     }
 
-    fn blueprint(&self) -> Blueprint {
+    pub(crate) fn blueprint(&self) -> Blueprint {
         let link = |joint: &Joint| {
             let mut pair = [joint.a, joint.b].map(|i| &self.placements[i]);
             pair.sort_by_key(|p| p.block);
             let relative = RelativePlacement::between(pair[0], pair[1]);
-            // Blocks do not overlap here, so at most one face of 8 × 8 magnets meets another.
+            // Blocks do not overlap here, so at most one face of each meets the other, with 6 magnets at most.
             let n_magnet_pairs = u8::try_from(joint.places.len()).unwrap_or(u8::MAX);
             Link { a: pair[0].block, b: pair[1].block, relative, n_magnet_pairs }
         };

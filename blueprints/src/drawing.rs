@@ -3,22 +3,17 @@
 //! Each of the [`checks`](crate::checks) stops at its first error. An editor needs all errors at once, each with the
 //! blocks that it concerns, and needs the blocks rotated so that the poles that meet attract.
 
-mod turns;
-
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::checks::{Check, check_placements, check_text};
+use crate::checks::{Check, Structure, check_text};
 use crate::error::BlueprintError;
-use crate::format::MAX_COORDINATE;
+use crate::format::{Draft, DraftBlock, MAX_COORDINATE};
+use crate::infer::turns;
 use crate::pieces::pieces;
-use crate::placement::move_to_origin;
-use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
+use crate::strength::Joint;
 use crate::writer::numbered;
 pub use crate::writer::word;
-use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, NoAssembly, Placement,
-    RelativePlacement, Split,
-};
+use crate::{Blueprint, BlueprintId, CubeRotation, Inventory, N_BLOCKS, Placement, Split};
 
 /// Maximum number of characters in a title; the rest is cut off.
 pub const MAX_TITLE: usize = 80;
@@ -87,14 +82,9 @@ impl DrawnBlock {
     /// `+x +y`.
     ///
     /// # Errors
-    /// If the type is unknown, the axes do not form a rotation, or the cell is out of range.
+    /// If the axes do not form a rotation, or the cell is out of range.
     pub fn new(type_name: &str, at: [i32; 3], axes: &str, is_free: bool) -> Result<Self, BlueprintError> {
         let block = || type_name.to_owned();
-        let inventory = Inventory::standard();
-        if inventory.blocks_of_type(type_name).is_empty() {
-            let known = inventory.types().iter().map(|t| t.name.as_str()).collect::<Vec<_>>().join(", ");
-            return Err(BlueprintError::UnknownType { block: block(), type_name: block(), known });
-        }
         if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
             return Err(BlueprintError::OutOfRange { block: block(), at: at.map(i64::from) });
         }
@@ -112,7 +102,7 @@ impl Drawing {
     pub fn from_toml(text: &str) -> Result<Self, BlueprintError> {
         let blueprint = check_text("drawing.toml", text).blueprint.map_err(|error| error.error)?;
         let block = |placement: &Placement| DrawnBlock {
-            type_name: Inventory::standard().block_type(placement.block).name.clone(),
+            type_name: Inventory::standard().block_type(placement.block).name.to_owned(),
             at: placement.lowest_cell(),
             rotation: placement.rotation,
             is_free: false,
@@ -121,14 +111,20 @@ impl Drawing {
         Ok(Self { title: blueprint.title().to_owned(), blocks })
     }
 
-    /// Rotates every free block, without changing the cells that it fills, so that as few like poles as possible meet.
+    /// Rotates the free blocks, without changing the cells that they fill, so that the poles that meet attract as far as
+    /// possible. If no blocks repel each other, all stay as they are.
     ///
     /// # Errors
-    /// If the inventory has too few blocks.
+    /// If the inventory lacks a type or has too few blocks of it.
     pub fn turn_free_blocks(&mut self) -> Result<(), BlueprintError> {
-        let placements = self.placements()?;
-        let is_free: Vec<bool> = self.blocks.iter().map(|block| block.is_free).collect();
-        for (block, rotation) in self.blocks.iter_mut().zip(turns::matching(&placements, &is_free)) {
+        let (mut draft, placements) = self.placed()?;
+        if Structure::new(&draft, &placements).repelling.is_empty() {
+            return Ok(());
+        }
+        for (block, drawn) in draft.blocks.iter_mut().zip(&self.blocks) {
+            block.turn = block.turn.filter(|_| !drawn.is_free);
+        }
+        for (block, rotation) in self.blocks.iter_mut().zip(turns(&draft, &placements)?) {
             block.rotation = rotation;
         }
         Ok(())
@@ -137,53 +133,50 @@ impl Drawing {
     /// Checks the drawing as it is.
     ///
     /// # Errors
-    /// If the inventory has too few blocks.
+    /// If the inventory lacks a type or has too few blocks of it.
     pub fn examine(&self) -> Result<Findings, BlueprintError> {
-        let placements = self.placements()?;
-        let mut found = Findings { problems: Vec::new(), connections: Vec::new(), blueprint: None };
-        self.overlaps(&placements, &mut found);
-        self.meetings(&placements, &mut found);
-        self.loose(&mut found);
-        if found.problems.is_empty() && !placements.is_empty() {
-            found.problems.extend(self.topples(&placements));
-        }
-        if found.problems.is_empty() && placements.len() > 1 {
-            match self.blueprint(&placements) {
-                Ok(blueprint) => found.blueprint = Some(blueprint),
-                Err(error) => {
-                    let is_assembly = matches!(error, BlueprintError::NoAssembly { .. });
-                    found.problems.push(self.explain(&error, &placements));
-                    // A structure that is too weak nearly always lacks an assembly order too, and that error names the
-                    // blocks at fault.
-                    if let (false, Err(NoAssembly { missing, .. })) =
-                        (is_assembly, Assembly::of_placements(&placements))
-                    {
-                        found.problems.push(self.unreached(&missing, &placements));
-                    }
-                }
+        let (draft, placements) = self.placed()?;
+        let structure = Structure::new(&draft, &placements);
+        let connection = |joint: &Joint| Connection { a: joint.a, b: joint.b, n_magnet_pairs: joint.places.len() };
+        let connections: Vec<Connection> = structure.joints.iter().map(connection).collect();
+        let mut problems = self.overlaps(&placements);
+        let repelling: BTreeSet<[usize; 2]> = structure.repelling.iter().map(|((a, b, ..), _)| [*a, *b]).collect();
+        let repel =
+            |pair: [usize; 2]| self.problem(Check::Polarity, pair.to_vec(), "repel each other: like poles meet");
+        problems.extend(repelling.into_iter().map(repel));
+        problems.extend(self.loose(&connections));
+        let mut blueprint = None;
+        if problems.is_empty() && placements.len() > 1 {
+            match structure.check() {
+                Ok(()) => blueprint = Some(named(structure.blueprint())),
+                Err(error) => problems = self.explain(&error, &structure),
             }
         }
-        Ok(found)
+        Ok(Findings { problems, connections, blueprint })
     }
 
-    /// Places the blocks with the lowest corner at the origin. The k-th block of a type is the k-th in the inventory.
-    fn placements(&self) -> Result<Vec<Placement>, BlueprintError> {
-        let inventory = Inventory::standard();
-        let mut placements = Vec::with_capacity(self.blocks.len());
-        for (i, drawn) in self.blocks.iter().enumerate() {
-            let same = inventory.blocks_of_type(&drawn.type_name);
-            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == drawn.type_name).count();
-            let block = *same.get(n_before).ok_or_else(|| BlueprintError::TooMany {
-                block: format!("{} {}", word(&drawn.type_name), n_before + 1),
-                type_name: drawn.type_name.clone(),
-                count: same.len(),
-            })?;
-            let size = drawn.rotation.apply(inventory.cells(block).map(i32::from)).map(i32::abs);
-            let center_half_units = std::array::from_fn(|k| 2 * drawn.at[k] + size[k]);
-            placements.push(Placement { block, center_half_units, rotation: drawn.rotation });
-        }
-        move_to_origin(&mut placements);
-        Ok(placements)
+    /// Returns the drawing as a file would give it, and its blocks with the lowest corner at the origin.
+    fn placed(&self) -> Result<(Draft, Vec<Placement>), BlueprintError> {
+        let block = |(i, drawn): (usize, &DrawnBlock)| DraftBlock {
+            name: self.name(i),
+            type_name: drawn.type_name.clone(),
+            at: drawn.at,
+            turn: Some(drawn.rotation),
+            size: None,
+        };
+        let title: String = self.title.trim().chars().filter(|c| !c.is_control()).take(MAX_TITLE).collect();
+        let draft = Draft {
+            id: draft_id(self.blocks.len(), 0),
+            split: Split::Train,
+            title: if title.is_empty() { UNTITLED.to_owned() } else { title },
+            up: [0, 0, 1],
+            provenance: None,
+            blocks: self.blocks.iter().enumerate().map(block).collect(),
+            pairs: None,
+        };
+        let turns: Vec<CubeRotation> = self.blocks.iter().map(|drawn| drawn.rotation).collect();
+        let placements = draft.place(&draft.assign()?, &turns);
+        Ok((draft, placements))
     }
 
     /// Returns the word for a block, with a number if there are several of its type.
@@ -205,7 +198,7 @@ impl Drawing {
         Problem { check, blocks, text }
     }
 
-    fn overlaps(&self, placements: &[Placement], found: &mut Findings) {
+    fn overlaps(&self, placements: &[Placement]) -> Vec<Problem> {
         let mut filled: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
         for (i, placement) in placements.iter().enumerate() {
             for cell in placement.filled_cells() {
@@ -213,85 +206,57 @@ impl Drawing {
             }
         }
         let shared: BTreeSet<Vec<usize>> = filled.into_values().filter(|blocks| blocks.len() > 1).collect();
-        found.problems.extend(
-            shared.into_iter().map(|blocks| self.problem(Check::Overlap, blocks, "overlap: they fill the same place")),
-        );
-    }
-
-    fn meetings(&self, placements: &[Placement], found: &mut Findings) {
-        let inventory = Inventory::standard();
-        for (a, first) in placements.iter().enumerate() {
-            for (b, second) in placements.iter().enumerate().skip(a + 1) {
-                let relative = RelativePlacement::between(first, second);
-                let n_magnet_pairs = inventory.magnet_pairs(first.block, second.block, relative).len();
-                if n_magnet_pairs > 0 {
-                    found.connections.push(Connection { a, b, n_magnet_pairs });
-                }
-                if !inventory.clashing_pairs(first.block, second.block, relative).is_empty() {
-                    let words = "repel each other: like poles meet";
-                    found.problems.push(self.problem(Check::Polarity, vec![a, b], words));
-                }
-            }
-        }
+        let overlap = |blocks| self.problem(Check::Overlap, blocks, "overlap: they fill the same place");
+        shared.into_iter().map(overlap).collect()
     }
 
     /// Names the blocks outside the largest piece.
-    fn loose(&self, found: &mut Findings) {
-        let piece = pieces(self.blocks.len(), found.connections.iter().map(|connection| (connection.a, connection.b)));
+    fn loose(&self, connections: &[Connection]) -> Option<Problem> {
+        let piece = pieces(self.blocks.len(), connections.iter().map(|connection| (connection.a, connection.b)));
         let size = |of: usize| piece.iter().filter(|&&p| p == of).count();
-        let Some(largest) = piece.iter().copied().max_by_key(|&p| (size(p), std::cmp::Reverse(p))) else { return };
+        let largest = piece.iter().copied().max_by_key(|&p| (size(p), std::cmp::Reverse(p)))?;
         let loose: Vec<usize> = (0..piece.len()).filter(|&i| piece[i] != largest).collect();
-        if !loose.is_empty() {
-            let words = if loose.len() == 1 { "is not connected to the rest" } else { "are not connected to the rest" };
-            found.problems.push(self.problem(Check::Connected, loose, words));
-        }
-    }
-
-    fn topples(&self, placements: &[Placement]) -> Option<Problem> {
-        let margin_u = support_margin_u(placements);
-        let text = "the structure tips over: too little of its lowest layer is under its center of mass".to_owned();
-        (margin_u < MIN_SUPPORT_MARGIN_U).then_some(Problem { check: Check::Stands, blocks: Vec::new(), text })
-    }
-
-    fn blueprint(&self, placements: &[Placement]) -> Result<Blueprint, BlueprintError> {
-        let title: String = self.title.trim().chars().filter(|c| !c.is_control()).take(MAX_TITLE).collect();
-        let title = if title.is_empty() { UNTITLED.to_owned() } else { title };
-        let blueprint = check_placements(draft_id(placements.len(), 0), Split::Train, title, placements)?;
-        let id = draft_id(placements.len(), blueprint.canonical_hash());
-        Ok(Blueprint { id, ..blueprint })
+        let words = if loose.len() == 1 { "is not connected to the rest" } else { "are not connected to the rest" };
+        (!loose.is_empty()).then(|| self.problem(Check::Connected, loose, words))
     }
 
     /// Describes a failure of the last checks in terms of the drawing.
-    fn explain(&self, error: &BlueprintError, placements: &[Placement]) -> Problem {
-        // These errors name a block by its index in the inventory.
-        let find = |name: &String| BlockIdx::all().find(|block| block.get().to_string() == *name);
+    fn explain(&self, error: &BlueprintError, structure: &Structure<'_>) -> Vec<Problem> {
+        let find = |name: &String| (0..self.blocks.len()).find(|&i| self.name(i) == *name);
         match error {
+            BlueprintError::Unsupported { .. } => {
+                let text = "the structure tips over: too little of its lowest layer is under its center of mass";
+                vec![Problem { check: Check::Stands, blocks: Vec::new(), text: text.to_owned() }]
+            }
             BlueprintError::Overloaded { a, b, .. } => {
-                let named: Vec<BlockIdx> = [a, b].into_iter().filter_map(find).collect();
-                let words = "are pulled apart: too much hangs on their magnets";
-                self.problem(Check::Strength, of_blocks(&named, placements), words)
+                let blocks = [a, b].into_iter().filter_map(find).collect();
+                let mut problems =
+                    vec![self.problem(Check::Strength, blocks, "are pulled apart: too much hangs on their magnets")];
+                // A structure that is too weak nearly always lacks an assembly order too, and that error names the
+                // blocks at fault.
+                if let Err(error) = structure.assembly() {
+                    problems.extend(self.explain(&error, structure));
+                }
+                problems
             }
             BlueprintError::NoAssembly { blocks, .. } => {
-                self.unreached(&blocks.iter().filter_map(find).collect::<Vec<_>>(), placements)
+                let mut blocks: Vec<usize> = blocks.iter().filter_map(find).collect();
+                blocks.sort_unstable();
+                let text = format!(
+                    "the expert cannot place {}: on no side of the structure is there an order in which it stands \
+                     after every block and each block has a straight way in",
+                    self.names(&blocks)
+                );
+                vec![Problem { check: Check::Assembly, blocks, text }]
             }
-            _ => Problem { check: Check::Format, blocks: Vec::new(), text: error.to_string() },
+            _ => vec![Problem { check: Check::Format, blocks: Vec::new(), text: error.to_string() }],
         }
-    }
-
-    fn unreached(&self, missing: &[BlockIdx], placements: &[Placement]) -> Problem {
-        let blocks = of_blocks(missing, placements);
-        let text = format!(
-            "the expert cannot place {}: on no side of the structure is there an order in which it stands after every \
-             block and each block has a straight way in",
-            self.names(&blocks)
-        );
-        Problem { check: Check::Assembly, blocks, text }
     }
 }
 
-/// Returns the indices of these blocks in the drawing.
-fn of_blocks(blocks: &[BlockIdx], placements: &[Placement]) -> Vec<usize> {
-    (0..placements.len()).filter(|&i| blocks.contains(&placements[i].block)).collect()
+/// Returns the blueprint with the id that follows from its structure.
+fn named(blueprint: Blueprint) -> Blueprint {
+    Blueprint { id: draft_id(blueprint.n_blocks(), blueprint.canonical_hash()), ..blueprint }
 }
 
 /// Returns the id of a drawing. Equal structures have equal ids; different ones nearly always differ.

@@ -2,6 +2,7 @@
 
 use crate::BlueprintId;
 use crate::assembly::impossible;
+use crate::strength::Load;
 
 /// An error in a blueprint's text or structure. Blocks are named as in the file.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -114,18 +115,14 @@ pub enum BlueprintError {
     Unsupported { margin_u: f64, min_u: f64 },
     /// A connection carries too much load.
     #[error(
-        "the connection of {a:?} and {b:?} carries {force_n:.1} N and {torque_nm:.2} N m; {n_pairs} magnet pair(s) may \
-         carry {max_force_n} N and {max_torque_nm:.2} N m"
+        "the connection of {a:?} and {b:?} carries {:.1} N and {:.2} N m; {n_pairs} magnet pair(s) may carry {} N and \
+         {:.2} N m",
+        .load.force_n,
+        .load.torque_nm,
+        .load.max_force_n,
+        .load.max_torque_nm
     )]
-    Overloaded {
-        a: String,
-        b: String,
-        n_pairs: usize,
-        force_n: f64,
-        torque_nm: f64,
-        max_force_n: f64,
-        max_torque_nm: f64,
-    },
+    Overloaded { a: String, b: String, n_pairs: usize, load: Load },
     /// No assembly order was found; `gave_up` says that there may be one.
     #[error(
         "{} so that all stands and each block has a straight way in: blocks {blocks:?} are never reached",

@@ -1,26 +1,5 @@
-//! The TOML format of blueprint files, one structure per file. `docs/blueprints.md` explains it in detail.
-//!
-//! ```toml
-//! # `type` and `at` are enough; everything else can be left out.
-//! id = "2_000"                   # the file's name when left out
-//! split = "train"                # so when left out
-//! title = "post on a plank"      # the id when left out
-//! provenance = "drawn by hand"
-//! up = "+z"                      # which axis of the drawing points up at rest; +z when left out
-//!
-//! # `at` is the lowest-numbered corner cell that the block fills, in unit cells; `axes` says where the block's own
-//! # x and y axes point in the drawing. Without `axes` the turn is found, and `size`, the number of cells along the
-//! # drawing's x, y and z, says which way the block lies where several are possible.
-//! blocks = [
-//!     { name = "plank", type = "2x1x1", at = [0, 0, 0], axes = "+x +y" },
-//!     { name = "post", type = "1x1x1", at = [0, 0, 1], axes = "+x +y" },
-//! ]
-//!
-//! # Every pair of magnets that meet, by face and cell in the block's own frame. Without this list it is made.
-//! connections = [
-//!     { a = "plank", b = "post", magnets = ["+z(0,0,0) -z(0,0,0)"] },
-//! ]
-//! ```
+//! The TOML format of blueprint files, one structure per file. `docs/blueprints.md` documents it, and a test checks
+//! the files shown there.
 
 use std::collections::BTreeSet;
 
@@ -144,7 +123,7 @@ impl Draft {
     pub(crate) fn of_placements(id: BlueprintId, split: Split, title: String, placements: &[Placement]) -> Self {
         let draw = |p: &Placement| DraftBlock {
             name: p.block.get().to_string(),
-            type_name: Inventory::standard().block_type(p.block).name.clone(),
+            type_name: Inventory::standard().block_type(p.block).name.to_owned(),
             at: p.lowest_cell(),
             turn: Some(p.rotation),
             size: None,
@@ -161,7 +140,7 @@ impl Draft {
             let (name, type_name) = (block.name.clone(), block.type_name.clone());
             let same = inventory.blocks_of_type(&type_name);
             if same.is_empty() {
-                let known = inventory.types().iter().map(|t| t.name.as_str()).collect::<Vec<_>>().join(", ");
+                let known = inventory.types().iter().map(|t| t.name).collect::<Vec<_>>().join(", ");
                 return Err(BlueprintError::UnknownType { block: name, type_name, known });
             }
             let n_before = self.blocks[..i].iter().filter(|other| other.type_name == type_name).count();

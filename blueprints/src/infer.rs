@@ -20,7 +20,7 @@ use crate::format::Draft;
 use crate::lattice::is_odd;
 use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
-use crate::{BlockIdx, CubeRotation, Inventory};
+use crate::{BlockIdx, CubeRotation, Inventory, Placement};
 use poles::Parities;
 
 /// Maximum number of partial drawings kept from one block to the next, which bounds time and memory. Those with the
@@ -31,9 +31,6 @@ const MAX_FOLLOWED: usize = 1024;
 const MAX_TRIED: usize = 16;
 
 type Cell = [i32; 3];
-
-/// Names of the drawing's axes.
-const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// A way to complete a drawing: a rotation for each block.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,44 +45,19 @@ pub(crate) struct Completed {
 pub struct FoundTurn {
     /// Cells that the block fills along the drawing's axes.
     pub size: [i32; 3],
-    /// Which of the drawing's axes is vertical: 0 for x, 1 for y, 2 for z.
-    pub vertical: usize,
     /// Number of ways that the block lies in the drawings that hold together, whether they stand or not; at least 1. If
     /// no drawing holds together, all drawings without overlap count.
     pub n_ways: usize,
-    /// Why this way was chosen among several.
-    pub reason: WayReason,
     /// Whether the search was cut off, so that there may be more ways.
     pub may_be_more: bool,
     /// Whether the neighbors' poles leave only this rotation.
     pub is_only: bool,
 }
 
-/// Why a block lies one way and not another.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum WayReason {
-    /// No other way has more magnets that meet.
-    MostMagnets,
-    /// No other way in which the structure stands has more magnets that meet.
-    MostThatStand,
-    /// No other way that passes the checks has more magnets that meet.
-    MostThatPass,
-    /// The structure would tip over in every other way; these are the cells that the block fills in each.
-    OthersTip(Vec<[i32; 3]>),
-}
-
-impl Completed {
-    /// Returns this completion as chosen because the `failed` ones before it fail a check.
-    pub(crate) fn after(&self, failed: &[Self]) -> Self {
-        let mut taken = self.clone();
-        for (i, found) in taken.found.iter_mut().enumerate() {
-            let lay_otherwise =
-                |found: &FoundTurn, other: &Self| other.found[i].as_ref().is_some_and(|other| other.size != found.size);
-            if let Some(found) = found.as_mut().filter(|found| failed.iter().any(|other| lay_otherwise(found, other))) {
-                found.reason = WayReason::MostThatPass;
-            }
-        }
-        taken
+impl FoundTurn {
+    /// Returns whether this is one of several possibilities.
+    pub fn is_a_choice(&self) -> bool {
+        self.n_ways > 1 || self.may_be_more
     }
 }
 
@@ -94,46 +66,15 @@ impl fmt::Display for FoundTurn {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { size, n_ways, .. } = self;
         let least = if self.may_be_more { "at least " } else { "" };
-        let of_several = format!(": of {least}{n_ways} ways it fills {size:?} cells");
-        match &self.reason {
+        if *size == [1, 1, 1] {
             // A cube can lie only one way, whatever its neighbors.
-            _ if *size == [1, 1, 1] => {}
-            _ if *n_ways == 1 && !self.may_be_more => write!(f, ": it can fill {size:?} cells only")?,
-            WayReason::MostMagnets => write!(f, "{of_several}, where the most magnets meet")?,
-            WayReason::MostThatStand => {
-                write!(f, "{of_several}, where the structure stands and the most magnets meet")?
-            }
-            WayReason::MostThatPass => {
-                write!(f, "{of_several}, where the structure passes the checks and the most magnets meet")?
-            }
-            WayReason::OthersTip(others) => self.tell_others(others, f)?,
+        } else if self.is_a_choice() {
+            write!(f, ": of {least}{n_ways} ways it fills {size:?} cells, ")?;
+            f.write_str("chosen by the checks and then by the most magnets that meet")?;
+        } else {
+            write!(f, ": it can fill {size:?} cells only")?;
         }
         f.write_str(if self.is_only { ", and its neighbors' poles leave no other turn" } else { "" })
-    }
-}
-
-impl FoundTurn {
-    /// Writes that the structure would tip over in the other ways: in words for a bar, in cells for a plate.
-    fn tell_others(&self, others: &[Cell], f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ways = if let Some(axis) = long_axis(self.size) {
-            match axis == self.vertical {
-                true => f.write_str(" and stands on end: ")?,
-                false => write!(f, " and lies along {}: ", AXES[axis])?,
-            }
-            let axes = || others.iter().filter_map(|&other| long_axis(other));
-            let lying: Vec<&str> = axes().filter(|axis| *axis != self.vertical).map(|axis| AXES[axis]).collect();
-            let lying = (!lying.is_empty()).then(|| format!("lying along {}", lying.join(" or ")));
-            let standing = axes().any(|axis| axis == self.vertical).then(|| "standing on end".to_owned());
-            lying.into_iter().chain(standing).collect::<Vec<_>>().join(" or ")
-        } else {
-            write!(f, " and fills {:?} cells: ", self.size)?;
-            match others {
-                [one] => format!("filling {one:?}"),
-                [one, other] => format!("filling {one:?} or {other:?}"),
-                more => format!("in each of the {} other ways", more.len()),
-            }
-        };
-        write!(f, "{ways}, the structure would tip over")
     }
 }
 
@@ -145,7 +86,7 @@ pub(crate) fn completions(draft: &Draft, assigned: &[BlockIdx]) -> Result<Vec<Co
     if let Some(turns) = turns {
         return Ok(vec![Completed { found: vec![None; turns.len()], turns }]);
     }
-    let (drawings, is_cut) = search.drawings()?;
+    let (drawings, may_be_more) = search.drawings()?;
     let mut drawings: Vec<Drawing> = drawings.into_iter().map(|sizes| search.turned(sizes)).collect();
     let holds_together = drawings.iter().any(|drawing| drawing.fits);
     drawings.retain(|drawing| drawing.fits == holds_together);
@@ -153,72 +94,33 @@ pub(crate) fn completions(draft: &Draft, assigned: &[BlockIdx]) -> Result<Vec<Co
         let placements = draft.place(assigned, &drawing.turns);
         support_margin_u(&placements) >= MIN_SUPPORT_MARGIN_U
     };
-    let stands: Vec<bool> = drawings.iter().map(|drawing| holds_together && stands(drawing)).collect();
-    let ways = Ways::new(&search, &drawings, &stands, is_cut);
-    let mut taken: Vec<usize> = (0..drawings.len()).filter(|&at| stands[at]).take(MAX_TRIED).collect();
+    let n_ways = |i: usize| drawings.iter().map(|drawing| drawing.sizes[i]).collect::<BTreeSet<Cell>>().len();
+    let n_ways: Vec<usize> = (0..assigned.len()).map(n_ways).collect();
+    let good = drawings.iter().filter(|drawing| holds_together && stands(drawing));
+    let mut taken: Vec<&Drawing> = good.take(MAX_TRIED).collect();
     if taken.is_empty() {
         // Take the one with the most magnets.
-        taken.extend((!drawings.is_empty()).then_some(0));
+        taken.extend(drawings.first());
     }
-    let complete = |at: usize| {
-        let open = |i: usize| draft.blocks[i].turn.is_none().then(|| ways.found(at, i));
-        Completed { turns: drawings[at].turns.clone(), found: (0..assigned.len()).map(open).collect() }
+    let complete = |drawing: &Drawing| {
+        let found = |i: usize| FoundTurn {
+            size: drawing.sizes[i],
+            n_ways: n_ways[i],
+            may_be_more,
+            is_only: drawing.is_only[i] && n_ways[i] == 1,
+        };
+        let open = |i: usize| draft.blocks[i].turn.is_none().then(|| found(i));
+        Completed { turns: drawing.turns.clone(), found: (0..assigned.len()).map(open).collect() }
     };
     Ok(taken.into_iter().map(complete).collect())
 }
 
-/// The ways that each block lies in the candidate drawings.
-struct Ways<'a> {
-    search: &'a Search<'a>,
-    drawings: &'a [Drawing],
-    /// Whether each drawing stands.
-    stands: &'a [bool],
-    /// Whether the search dropped drawings.
-    is_cut: bool,
-    /// Cells that each block fills in any of the drawings (`all`) and in those that stand (`standing`).
-    all: Vec<BTreeSet<Cell>>,
-    standing: Vec<BTreeSet<Cell>>,
-}
-
-impl<'a> Ways<'a> {
-    fn new(search: &'a Search<'a>, drawings: &'a [Drawing], stands: &'a [bool], is_cut: bool) -> Self {
-        let sizes = |i: usize, all: bool| {
-            let counted = drawings.iter().zip(stands).filter(|(_, stands)| all || **stands);
-            counted.map(|(drawing, _)| drawing.sizes[i]).collect::<BTreeSet<Cell>>()
-        };
-        let of_each = |all: bool| (0..search.own.len()).map(|i| sizes(i, all)).collect();
-        Self { search, drawings, stands, is_cut, all: of_each(true), standing: of_each(false) }
-    }
-
-    /// Returns how block `i` was found in the drawing with index `at`.
-    fn found(&self, at: usize, i: usize) -> FoundTurn {
-        let n_ways = self.all[i].len();
-        FoundTurn {
-            size: self.drawings[at].sizes[i],
-            vertical: self.search.draft.up.iter().position(|&x| x != 0).unwrap_or(2),
-            n_ways,
-            reason: self.reason(at, i),
-            may_be_more: self.is_cut,
-            is_only: self.drawings[at].is_only[i] && n_ways == 1,
-        }
-    }
-
-    fn reason(&self, at: usize, i: usize) -> WayReason {
-        let size = self.drawings[at].sizes[i];
-        if !self.stands[at] {
-            return WayReason::MostMagnets;
-        }
-        // Keep the order in which the ways are tried.
-        let others = self.search.options[i].iter().filter(|other| **other != size && self.all[i].contains(*other));
-        let others: Vec<Cell> = others.copied().collect();
-        let all_tip = others.iter().all(|other| !self.standing[i].contains(other));
-        if all_tip && !others.is_empty() && !self.is_cut {
-            return WayReason::OthersTip(others);
-        }
-        // The earlier drawing would have been taken if it stood.
-        let is_passed_over = |before: usize| !self.stands[before] && self.drawings[before].sizes[i] != size;
-        if (0..at).any(is_passed_over) { WayReason::MostThatStand } else { WayReason::MostMagnets }
-    }
+/// Returns a rotation for each block that fills the same cells as its placement, so that the poles that meet attract as
+/// far as possible. The draft's axes are those of the placements.
+pub(crate) fn turns(draft: &Draft, placements: &[Placement]) -> Result<Vec<CubeRotation>, BlueprintError> {
+    let assigned: Vec<BlockIdx> = placements.iter().map(|placement| placement.block).collect();
+    let sizes = placements.iter().map(Placement::size_cells).collect();
+    Ok(Search::new(draft, &assigned)?.turned(sizes).turns)
 }
 
 /// A way and a rotation for every block.
@@ -406,12 +308,6 @@ enum Contact {
     Overlap,
     Apart,
     Along { axis: usize, n_pairs: usize },
-}
-
-/// Returns the axis that a bar lies along; `None` for a cube or a plate.
-fn long_axis(size: Cell) -> Option<usize> {
-    let mut long = (0..3).filter(|&k| size[k] > 1);
-    long.next().filter(|_| long.next().is_none())
 }
 
 #[cfg(test)]

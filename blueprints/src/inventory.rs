@@ -1,6 +1,5 @@
 //! The 16 blocks of 6 types and their magnets.
 
-use std::str::FromStr;
 use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
@@ -52,16 +51,25 @@ impl BlockIdx {
 }
 
 /// One kind of cuboid block.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BlockType {
     /// Name as used in files, for example `2x1x1`.
-    pub name: String,
+    pub name: &'static str,
     /// Size in unit cells along the block's x, y and z.
     pub cells: [u8; 3],
     /// Number of these blocks in the inventory.
     pub count: u8,
 }
+
+/// The block types of every world. The paper gives no sizes; these are cuboids of unit cells of 0.1 m.
+const TYPES: [BlockType; 6] = [
+    BlockType { name: "1x1x1", cells: [1, 1, 1], count: 4 },
+    BlockType { name: "2x1x1", cells: [2, 1, 1], count: 4 },
+    BlockType { name: "3x1x1", cells: [3, 1, 1], count: 2 },
+    BlockType { name: "4x1x1", cells: [4, 1, 1], count: 2 },
+    BlockType { name: "2x2x1", cells: [2, 2, 1], count: 2 },
+    BlockType { name: "3x2x1", cells: [3, 2, 1], count: 2 },
+];
 
 /// Sign of a magnet; opposite signs attract and connect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -85,50 +93,28 @@ pub struct Magnet {
 
 /// The block types of a world, and the type of each of its 16 blocks.
 ///
-/// Blocks are numbered in the order of the types in the data file, `count` of each.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// Blocks are numbered in the order of the types, `count` of each.
+#[derive(Clone, Debug)]
 pub struct Inventory {
-    types: Vec<BlockType>,
     type_of: [u8; N_BLOCKS],
     magnets: Vec<Vec<Magnet>>,
 }
 
-/// Reasons to reject an inventory file.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum InventoryError {
-    /// The text is not TOML or does not have the expected shape.
-    #[error("not an inventory: {0}")]
-    Syntax(String),
-    /// The counts do not sum to [`N_BLOCKS`].
-    #[error("the inventory holds {0} blocks, not 16")]
-    WrongTotal(usize),
-    /// Two types have the same name.
-    #[error("block type {0:?} is listed twice")]
-    DuplicateType(String),
-    /// A side is outside 1..=8 cells.
-    #[error("block type {name:?} has size {cells:?}; each side must be 1 to 8 cells")]
-    BadSize {
-        /// The type's name.
-        name: String,
-        /// Its size in cells.
-        cells: [u8; 3],
-    },
-}
-
 impl Inventory {
-    /// Returns the inventory of the paper's world, read from `inventory.toml`.
-    ///
-    /// # Panics
-    /// Never in a build that passes the tests: the file is compiled in.
+    /// Returns the inventory of the paper's world.
     pub fn standard() -> &'static Self {
-        static STANDARD: LazyLock<Inventory> =
-            LazyLock::new(|| include_str!("../inventory.toml").parse().expect("the embedded inventory.toml is valid"));
+        static STANDARD: LazyLock<Inventory> = LazyLock::new(|| {
+            let of_type = |(idx, t): (u8, &BlockType)| std::iter::repeat_n(idx, usize::from(t.count));
+            let type_of: Vec<u8> = (0..).zip(&TYPES).flat_map(of_type).collect();
+            let magnets = TYPES.iter().map(|t| magnets_of(t.cells)).collect();
+            Inventory { type_of: type_of.try_into().expect("the counts sum to 16"), magnets }
+        });
         &STANDARD
     }
 
-    /// Returns the types in the order of the file.
-    pub fn types(&self) -> &[BlockType] {
-        &self.types
+    /// Returns the types in the order of their blocks.
+    pub fn types(&self) -> &'static [BlockType] {
+        &TYPES
     }
 
     /// Returns the position of a block's type in [`types`](Self::types).
@@ -137,8 +123,8 @@ impl Inventory {
     }
 
     /// Returns the type of a block.
-    pub fn block_type(&self, block: BlockIdx) -> &BlockType {
-        &self.types[self.type_idx(block)]
+    pub fn block_type(&self, block: BlockIdx) -> &'static BlockType {
+        &TYPES[self.type_idx(block)]
     }
 
     /// Returns the size of a block in unit cells along its own x, y, and z.
@@ -205,33 +191,6 @@ impl Inventory {
             }
         }
         pairs
-    }
-}
-
-impl FromStr for Inventory {
-    type Err = InventoryError;
-
-    /// Reads an inventory from TOML: a list `types` of [`BlockType`]s whose counts sum to [`N_BLOCKS`].
-    fn from_str(text: &str) -> Result<Self, InventoryError> {
-        #[derive(Deserialize)]
-        #[serde(deny_unknown_fields)]
-        struct File {
-            types: Vec<BlockType>,
-        }
-        let File { types } = toml::from_str(text).map_err(|error| InventoryError::Syntax(error.to_string()))?;
-        for (i, block_type) in types.iter().enumerate() {
-            if types[..i].iter().any(|other| other.name == block_type.name) {
-                return Err(InventoryError::DuplicateType(block_type.name.clone()));
-            }
-            if block_type.cells.iter().any(|n| !(1..=8).contains(n)) {
-                return Err(InventoryError::BadSize { name: block_type.name.clone(), cells: block_type.cells });
-            }
-        }
-        let type_of: Vec<u8> =
-            (0_u8..).zip(&types).flat_map(|(idx, t)| std::iter::repeat_n(idx, usize::from(t.count))).collect();
-        let type_of = type_of.try_into().map_err(|all: Vec<u8>| InventoryError::WrongTotal(all.len()))?;
-        let magnets = types.iter().map(|t| magnets_of(t.cells)).collect();
-        Ok(Self { types, type_of, magnets })
     }
 }
 

@@ -32,6 +32,6 @@ pub use blueprint::{Blueprint, BlueprintId, Link, Split};
 pub use catalog::{Catalog, CatalogError};
 pub use error::{BlueprintError, BlueprintFileError};
 pub use group::{Group, InvalidGroup};
-pub use inventory::{BlockIdx, BlockType, Inventory, InventoryError, Magnet, N_BLOCKS, Polarity};
+pub use inventory::{BlockIdx, BlockType, Inventory, Magnet, N_BLOCKS, Polarity};
 pub use lattice::{CubeRotation, RelativePlacement, UNIT_M};
 pub use placement::Placement;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use crate::format::MagnetName;
-use crate::{Blueprint, Inventory};
+use crate::{Blueprint, Inventory, Placement};
 
 /// Block names in written files, by type name; other types use the type name.
 const NAMES: [(&str, &str); 6] =
@@ -24,11 +24,14 @@ pub(crate) fn numbered(types: &[&str], i: usize, separator: char) -> String {
 impl Blueprint {
     /// Returns the text of the blueprint's file; `provenance` states the origin of the structure.
     ///
-    /// Blocks are named after their types. Parsing the text gives an equal blueprint if this one uses the first blocks
-    /// of every type, as every blueprint from a file does. After [`permuted`](Self::permuted), the text parses as the
-    /// same structure on the first blocks.
+    /// Blocks are named after their types, numbered from 1 if a type occurs more than once. Parsing the text gives an
+    /// equal blueprint if this one uses the first blocks of every type, as every blueprint from a file does. After
+    /// [`permuted`](Self::permuted), the text parses as the same structure on the first blocks.
     pub fn to_toml(&self, provenance: &str) -> String {
-        self.to_toml_with(&self.block_names(), provenance)
+        let type_of = |placement: &Placement| Inventory::standard().block_type(placement.block).name;
+        let types: Vec<&str> = self.placements().iter().map(type_of).collect();
+        let names: Vec<String> = (0..types.len()).map(|i| numbered(&types, i, '-')).collect();
+        self.to_toml_with(&names, provenance)
     }
 
     /// Like [`to_toml`](Self::to_toml), with other block names, in the order of the placements.
@@ -44,7 +47,7 @@ impl Blueprint {
         text.push_str("up = \"+z\"\n\nblocks = [\n");
         for (name, placement) in names.iter().zip(self.placements()) {
             let at = placement.lowest_cell();
-            let type_name = &inventory.block_type(placement.block).name;
+            let type_name = inventory.block_type(placement.block).name;
             let axes = placement.rotation.axes();
             let name = format!("{name},");
             let _ = writeln!(
@@ -72,13 +75,6 @@ impl Blueprint {
         }
         text.push_str("]\n");
         text
-    }
-
-    /// Returns a name for each placement: the name of its type, numbered from 1 if the type occurs more than once.
-    fn block_names(&self) -> Vec<String> {
-        let inventory = Inventory::standard();
-        let types: Vec<&str> = self.placements().iter().map(|p| inventory.block_type(p.block).name.as_str()).collect();
-        (0..types.len()).map(|i| numbered(&types, i, '-')).collect()
     }
 }
 

@@ -65,27 +65,12 @@ fn form_errors_name_the_line_or_the_value() {
          `connections`",
     );
     form(
-        "type = \"1x1x1\", at = [2, 0, 1]",
-        "at = [2, 0, 1]",
-        "line 9: block \"end\" has no `type`; add its size in cells, like type = \"2x1x1\"",
-    );
-    form(
-        "at = [2, 0, 1]",
-        "at = [2, 0.5, 1]",
-        "line 9: block \"end\": `at` needs three whole numbers of cells, like [2, 1, 1], and is [2, 0.5, 1]",
-    );
-    form(
         "\"3_000\"",
         "\"4_000\"",
         "the id 4_000 promises 4 blocks, the file has 3; an id of another form promises nothing",
     );
     form("\"corner\"", "\" \"", "field `title` is empty");
     form("title", "up = \"z\"\ntitle", "up \"z\" is not one of +x, -x, +y, -y, +z, -z");
-    form(
-        "name = \"top\"",
-        "name = \"end\"",
-        "blocks 2 and 3 of the list are both called \"end\"; give one of them another name",
-    );
     form(
         "axes = \"+x +y\"",
         "axes = \"+x -x\"",
@@ -120,13 +105,6 @@ fn structure_errors_name_the_blocks() {
         "[2, 0, 0]",
         Check::Overlap,
         "blocks \"bar\" and \"end\" overlap in cell [2, 0, 0]; move one of them",
-    );
-    check(
-        "[2, 0, 2], axes = \"+x +y\"",
-        "[2, 0, 2], axes = \"+x -y\"",
-        Check::Polarity,
-        "blocks \"end\" and \"top\" repel: like poles meet at [2.5, 0.5, 2.0], pair \"+z(0,0,0) +z(0,0,0)\"; \
-         turn one, or leave out its `axes`",
     );
     check(
         "    { a = \"end\", b = \"top\", magnets = [\"+z(0,0,0) -z(0,0,0)\"] },\n",

@@ -116,7 +116,7 @@ fn check_invariants(blueprint: &Blueprint) {
 /// Generates permutations of the 16 blocks that preserve types.
 fn permutation() -> impl Strategy<Value = [BlockIdx; 16]> {
     let shuffled = |name: &str| Just(Inventory::standard().blocks_of_type(name)).prop_shuffle();
-    let types: Vec<_> = Inventory::standard().types().iter().map(|t| shuffled(&t.name)).collect();
+    let types: Vec<_> = Inventory::standard().types().iter().map(|t| shuffled(t.name)).collect();
     types.prop_map(|types| types.concat().try_into().expect("the types have 16 blocks"))
 }
 
@@ -178,19 +178,4 @@ fn folder_loads_like_the_builtin_catalog() {
     assert_eq!(Catalog::load(&folder).expect("the folder is valid"), **Catalog::builtin());
     let one = Catalog::load(&folder.join("6_005.toml")).expect("the file is valid");
     assert_eq!((one.len(), one.is_empty()), (1, false));
-}
-
-#[test]
-fn ids_and_splits_round_trip_and_refuse_other_texts() {
-    for good in ["2_000", "16_001", "test_12_000", "test-literal_10_000"] {
-        assert_eq!(id(good).to_string(), good);
-    }
-    for bad in ["", "_2_000", "2 000", "a/b", "../a", "a.toml", "-a", "a*"] {
-        let error = bad.parse::<BlueprintId>().expect_err(bad).to_string();
-        assert!(error.starts_with(&format!("{bad:?} is not a blueprint id")), "{error}");
-    }
-    for split in Split::ALL {
-        assert_eq!(split.to_string().parse(), Ok(split));
-    }
-    assert!("tset".parse::<Split>().expect_err("tset").to_string().starts_with("\"tset\" is not a split"));
 }

@@ -114,19 +114,12 @@ pub(super) fn rules() -> Value {
         policies.push(json!({ "rules": ids, "subjects": [grants.role] }));
     }
     // Routers forward messages that were allowed elsewhere; these were checked where they entered.
-    let everything = [
-        "put",
-        "delete",
-        "declare_subscriber",
-        "query",
-        "declare_queryable",
-        "reply",
-        "liveliness_token",
-        "declare_liveliness_subscriber",
-        "liveliness_query",
-    ];
     rules.push(json!({
-        "id": "router-all", "messages": everything, "flows": ["ingress", "egress"], "permission": "allow", "key_exprs": ["lodestone/**"],
+        "id": "router-all", "flows": ["ingress", "egress"], "permission": "allow", "key_exprs": ["lodestone/**"],
+        "messages": [
+            "put", "delete", "declare_subscriber", "query", "declare_queryable", "reply",
+            "liveliness_token", "declare_liveliness_subscriber", "liveliness_query",
+        ],
     }));
     policies.push(json!({ "rules": ["router-all"], "subjects": ["router"] }));
     let subjects: Vec<Value> = ROLES.iter().map(|role| json!({ "id": role, "usernames": [role] })).collect();

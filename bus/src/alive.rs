@@ -1,4 +1,4 @@
-//! Liveliness tokens: which processes are alive.
+//! Liveliness tokens: which processes are alive, and which runs have any.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -8,17 +8,24 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::SampleKind;
 
-use super::{Bus, BusError};
+use super::{Bus, BusConfig, BusError, Followed};
+use proto::Valid;
 use proto::keys::{self, Role};
 
 /// Maximum number of names followed per role; more than a router has sessions.
-const MAX_NAMES: usize = 16_384;
+pub(super) const MAX_NAMES: usize = 16_384;
 
 /// Interval between checks of whether a name is still alive.
 const LOOK_PERIOD: Duration = Duration::from_millis(250);
 
 /// Timeout of one check.
 const LOOK_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Maximum number of runs listed.
+const MAX_RUNS: usize = 100;
+
+/// Timeout of the query for them.
+const RUNS_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// Declares a process alive until the token is dropped, the session closes, or the process ends.
 #[derive(Debug)]
@@ -27,13 +34,8 @@ pub struct AliveToken {
     _open: Bus,
 }
 
-/// Follows the live processes of a role.
-#[derive(Debug)]
-pub struct AliveWatch {
-    names: watch::Receiver<BTreeSet<String>>,
-    _subscriber: Subscriber<()>,
-    _open: Bus,
-}
+/// The names of the live processes of a role.
+pub type AliveWatch = Followed<BTreeSet<String>>;
 
 impl Bus {
     /// Declares that the process `id` (1 to 64 characters of `a-z`, `0-9`, `-`) is alive in `role`.
@@ -41,11 +43,9 @@ impl Bus {
     /// # Errors
     /// If the name breaks the rule or the session is closed.
     pub async fn declare_alive(&self, role: Role, id: &str) -> Result<AliveToken, BusError> {
-        if !keys::is_valid_run(id) {
-            return Err(BusError::Name(id.to_owned()));
-        }
-        let declared = self.session.liveliness().declare_token(keys::live(role, id)).await;
-        let token = declared.map_err(BusError::during(format!("declaring {}", keys::live(role, id))))?;
+        let key = token_key(role, id)?;
+        let declared = self.session.liveliness().declare_token(key.clone()).await;
+        let token = declared.map_err(BusError::during(format!("declaring {key}")))?;
         Ok(AliveToken { _token: token, _open: self.clone() })
     }
 
@@ -82,10 +82,7 @@ impl Bus {
 
     /// Returns whether a process with this name is alive.
     async fn is_alive(&self, role: Role, id: &str) -> Result<bool, BusError> {
-        if !keys::is_valid_run(id) {
-            return Err(BusError::Name(id.to_owned()));
-        }
-        let key = keys::live(role, id);
+        let key = token_key(role, id)?;
         let asked = self.session.liveliness().get(&key).timeout(LOOK_TIMEOUT).await;
         let replies = asked.map_err(BusError::during(format!("looking for {key}")))?;
         // Every process that answers has the token; zenoh's error replies mean a timeout.
@@ -103,33 +100,63 @@ impl Bus {
     /// If the session is closed.
     pub async fn alive(&self, role: Role) -> Result<AliveWatch, BusError> {
         let (sender, names) = watch::channel(BTreeSet::new());
-        let prefix = keys::live(role, "");
         let counts = self.counts.clone();
-        let subscriber = self
-            .session
-            .liveliness()
-            .declare_subscriber(keys::live_all(role))
-            .history(true)
-            .callback(move |sample| {
-                let is_put = sample.kind() == SampleKind::Put;
-                let has_room = !is_put || sender.borrow().len() < MAX_NAMES;
-                let name = sample.key_expr().as_str().strip_prefix(&prefix);
-                let Some(name) = name.filter(|name| has_room && keys::is_valid_run(name)) else {
-                    counts.lock().tokens_invalid_total += 1;
-                    return;
-                };
-                sender
-                    .send_if_modified(|names| if is_put { names.insert(name.to_owned()) } else { names.remove(name) });
-            })
-            .await
-            .map_err(BusError::during(format!("watching {}", keys::live_all(role))))?;
-        Ok(AliveWatch { names, _subscriber: subscriber, _open: self.clone() })
+        let told = move |name: Option<&str>, is_alive: bool| {
+            let has_room = !is_alive || sender.borrow().len() < MAX_NAMES;
+            let Some(name) = name.filter(|_| has_room) else {
+                counts.lock().tokens_invalid_total += 1;
+                return;
+            };
+            sender.send_if_modified(|names| if is_alive { names.insert(name.to_owned()) } else { names.remove(name) });
+        };
+        let failed = BusError::during(format!("watching {}", keys::live(role, "*")));
+        let subscriber = self.follow_tokens(role, told).await.map_err(failed)?;
+        Ok(Followed { value: names, _source: Box::new(subscriber), _open: self.clone() })
+    }
+
+    /// Calls `told` with the name in each token of `role` and whether the process is alive, also for tokens that
+    /// existed before. The name is `None` if it is not valid.
+    pub(super) async fn follow_tokens(
+        &self,
+        role: Role,
+        told: impl Fn(Option<&str>, bool) + Send + Sync + 'static,
+    ) -> Result<Subscriber<()>, zenoh::Error> {
+        let prefix = keys::live(role, "");
+        let tokens = self.session.liveliness().declare_subscriber(keys::live(role, "*")).history(true);
+        let subscriber = tokens.callback(move |sample| {
+            let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| keys::is_valid_run(name));
+            told(name, sample.kind() == SampleKind::Put);
+        });
+        subscriber.await
     }
 }
 
-impl AliveWatch {
-    /// Returns a receiver of the live names and of every change.
-    pub fn watch(&self) -> watch::Receiver<BTreeSet<String>> {
-        self.names.clone()
+/// Returns the names of all runs with a live process, except that of `config`; at most the first hundred that answer.
+///
+/// This opens a separate session, because the sessions of a run see no other run.
+///
+/// # Errors
+/// Those of [`Bus::open`], or if the session fails.
+pub async fn runs(config: &Valid<BusConfig>) -> Result<BTreeSet<String>, BusError> {
+    let bus = Bus::open_within(keys::ROOT, config).await?;
+    let names = ask_for_runs(&bus).await;
+    bus.close().await;
+    names.map(|names| names.into_iter().filter(|name| *name != config.run).collect())
+}
+
+async fn ask_for_runs(bus: &Bus) -> Result<BTreeSet<String>, BusError> {
+    let asked = bus.session.liveliness().get(keys::LIVE_IN_ALL_RUNS).timeout(RUNS_TIMEOUT).await;
+    let replies = asked.map_err(BusError::during("looking for runs"))?;
+    let mut names = BTreeSet::new();
+    while let Ok(reply) = replies.recv_async().await {
+        let name = reply.result().ok().and_then(|sample| sample.key_expr().as_str().split('/').next());
+        // Any process may have declared the key.
+        names.extend(name.filter(|name| keys::is_valid_run(name) && names.len() < MAX_RUNS).map(str::to_owned));
     }
+    Ok(names)
+}
+
+/// Returns the key of the token of the process `id`.
+fn token_key(role: Role, id: &str) -> Result<String, BusError> {
+    if keys::is_valid_run(id) { Ok(keys::live(role, id)) } else { Err(BusError::Name(id.to_owned())) }
 }

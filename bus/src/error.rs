@@ -86,20 +86,17 @@ fn reason(error: &zenoh::Error) -> String {
 fn without_places(text: &str) -> String {
     /// Precedes a path; the path itself begins at the slash.
     const AT: &str = " at /";
-    let mut plain = String::new();
-    let mut rest = text;
-    while let Some(at) = rest.find(AT) {
-        let (before, place) = rest.split_at(at);
-        let is_end = |c: char| c.is_whitespace() || c == ']';
-        let end = place[AT.len()..].find(is_end).map_or(place.len(), |end| AT.len() + end);
-        let (path, after) = place.split_at(end);
-        plain += before;
-        if !path.contains(".rs:") {
-            plain += path;
+    let mut parts = text.split(AT);
+    let mut plain = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let end = part.find(|c: char| c.is_whitespace() || c == ']').unwrap_or(part.len());
+        if part[..end].contains(".rs:") {
+            plain += &part[end..];
+        } else {
+            plain.extend([AT, part]);
         }
-        rest = after;
     }
-    plain + rest
+    plain
 }
 
 /// Reasons why the learner does not have, or may not have, a trajectory.

@@ -7,7 +7,6 @@
 //! socket in a folder that only this user can enter.
 
 mod arrival;
-mod counts;
 mod hall;
 mod handshake;
 mod listener;
@@ -32,8 +31,8 @@ use tokio_util::task::TaskTracker;
 use super::config::JOIN_TIMEOUT_MS;
 use super::security::{Keys, is_tls};
 use super::{BusConfig, BusError};
-pub use counts::JoinCounts;
 use hall::Hall;
+pub use hall::JoinCounts;
 use listener::Listener;
 
 /// Time limit for connections to end after their session has closed.

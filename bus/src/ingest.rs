@@ -41,33 +41,25 @@ impl Bus {
     ///
     /// # Errors
     /// If the session is closed.
-    pub async fn serve_trajectories<F>(
+    pub async fn serve_trajectories(
         &self,
-        handler: F,
+        handler: impl Fn(Trajectory) -> Result<(), Refusal> + Send + Sync + 'static,
         current_version: watch::Receiver<WeightsVersion>,
-    ) -> Result<TrajectoryServer, BusError>
-    where
-        F: Fn(Trajectory) -> Result<(), Refusal> + Send + Sync + 'static,
-    {
+    ) -> Result<TrajectoryServer, BusError> {
         let (queue, mut queries) = mpsc::channel::<Query>(INGEST_QUEUE);
         let counts: Arc<Mutex<IngestCounts>> = Arc::default();
         let names = Names::follow(self).await?;
-        let repeats = Repeats::default();
         let refusals = Refusals::start();
         let inlet =
             Inlet { queue, counts: counts.clone(), refusals: refusals.clone(), version: current_version.clone() };
-        let mut server = Server { handler, current_version, counts: counts.clone(), names, repeats };
-        let queryable = self
-            .session
-            .declare_queryable(keys::INGEST_ALL)
-            .complete(true)
-            .callback(move |query| inlet.pass(query))
-            .await
-            .map_err(BusError::during("declaring the learner's ingest"))?;
+        let mut server = Server { handler, counts: counts.clone(), names, repeats: Repeats::default() };
+        let declared = self.session.declare_queryable(keys::INGEST_ALL).complete(true);
+        let declared = declared.callback(move |query| inlet.pass(query)).await;
+        let queryable = declared.map_err(BusError::during("declaring the learner's ingest"))?;
         let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
                 let decision = server.decide(&query);
-                let weights_version = *server.current_version.borrow();
+                let weights_version = *current_version.borrow();
                 match decision {
                     Ok(()) => acknowledge(&query, weights_version),
                     Err(refusal) => refusals.refuse_in_turn(query, Refused { refusal, weights_version }).await,
@@ -109,13 +101,11 @@ impl Inlet {
                 count_invalid(&mut self.counts.lock(), &query, &reason);
                 (query, Refusal::Invalid(reason))
             }
-            Ok(()) => match self.queue.try_send(query) {
-                Ok(()) => return,
-                Err(mpsc::error::TrySendError::Full(query) | mpsc::error::TrySendError::Closed(query)) => {
-                    self.counts.lock().full_total += 1;
-                    (query, Refusal::Full)
-                }
-            },
+            Ok(()) => {
+                let Err(unsent) = self.queue.try_send(query) else { return };
+                self.counts.lock().full_total += 1;
+                (unsent.into_inner(), Refusal::Full)
+            }
         };
         self.refusals.refuse(query, Refused { refusal, weights_version: *self.version.borrow() });
     }
@@ -149,7 +139,6 @@ fn count_invalid(counts: &mut IngestCounts, query: &Query, reason: &str) {
 
 struct Server<F> {
     handler: F,
-    current_version: watch::Receiver<WeightsVersion>,
     counts: Arc<Mutex<IngestCounts>>,
     names: Names,
     repeats: Repeats,
@@ -176,7 +165,7 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
         let trajectory = decode_trajectory(&payload).map_err(|error| Refusal::Invalid(error.to_string()))?;
         // A message can name a second actor after its header.
         check_key(query, trajectory.actor.as_str()).map_err(Refusal::Invalid)?;
-        if self.names.is_taken(&trajectory.actor, trajectory.epoch) {
+        if self.names.lock().is_taken(&trajectory.actor, trajectory.epoch) {
             return Err(Refusal::NameTaken);
         }
         let id = (trajectory.actor.clone(), trajectory.epoch);
@@ -188,7 +177,7 @@ impl<F: Fn(Trajectory) -> Result<(), Refusal>> Server<F> {
         }
         (self.handler)(trajectory)?;
         let (actor, epoch) = &id;
-        self.names.claim(actor, *epoch);
+        self.names.lock().claim(actor, *epoch);
         // Remember only accepted trajectories, so that a retry after `Full` counts as a first attempt.
         self.repeats.remember(id, seq);
         Ok(Taken::Now)

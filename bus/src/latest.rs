@@ -96,17 +96,12 @@ impl Latest {
         let desk = Arc::new(Desk { state: Mutex::new(state), counts: bus.counts.clone() });
         let shared = desk.clone();
         let refusals = Refusals::start();
-        let queryable = bus
-            .session
-            .declare_queryable(key.clone())
-            .complete(true)
-            .callback(move |query| {
-                if let Some((query, refusal)) = shared.admit(query, &queue) {
-                    refusals.refuse(query, Refused { refusal, weights_version: WeightsVersion::default() });
-                }
-            })
-            .await
-            .map_err(BusError::during(format!("declaring {key}")))?;
+        let declared = bus.session.declare_queryable(key.clone()).complete(true).callback(move |query| {
+            if let Some((query, refusal)) = shared.admit(query, &queue) {
+                refusals.refuse(query, Refused { refusal, weights_version: WeightsVersion::default() });
+            }
+        });
+        let queryable = declared.await.map_err(BusError::during(format!("declaring {key}")))?;
         let pace = Pace::new(bus.config.weights_mb_per_s, Instant::now());
         let worker = AbortOnDropHandle::new(tokio::spawn(answer_all(desk.clone(), queries, pace, key, encoding)));
         Ok(Self { desk, _queryable: queryable, _worker: worker, _open: bus.clone() })
@@ -129,17 +124,12 @@ impl Desk {
         }
         let mut state = self.state.lock();
         let number = state.number;
-        let refused = if state.turns.admit(name(&query), number, Instant::now()) {
-            let Err(mpsc::error::TrySendError::Full(query) | mpsc::error::TrySendError::Closed(query)) =
-                queue.try_send(query)
-            else {
-                return None;
-            };
-            state.turns.end(name(&query), None, Instant::now());
-            query
-        } else {
-            query
-        };
+        let mut refused = query;
+        if state.turns.admit(name(&refused), number, Instant::now()) {
+            let Err(unsent) = queue.try_send(refused) else { return None };
+            refused = unsent.into_inner();
+            state.turns.end(name(&refused), None, Instant::now());
+        }
         drop(state);
         let mut counts = self.counts.lock();
         counts.queries_dropped_total += 1;

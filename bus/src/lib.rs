@@ -1,8 +1,8 @@
 //! The bus: zenoh sessions that carry [`proto`]'s messages between actors, learner, evaluator, and viewers.
 //!
-//! Reading order: `config`, [`security`], and `gate` (authentication) → `session` → `sender` and `ingest`
-//! (trajectories) → `weights` → `metrics`, `history`, and `viewer` → `latest`, `turns`, and `refusals` (floods) →
-//! `alive`, `pulse` and `runs`.
+//! Reading order: `config`, [`security`], and `gate` (authentication) → `session` and `followed` → `sender` and
+//! `ingest` (trajectories) → `weights` → `metrics` and `viewer` → `latest`, `turns`, and `refusals` (floods) → `alive`
+//! and `pulse`.
 //!
 //! Trajectories are acknowledged queries to the learner, weights are pulled after a notice, metrics are JSON, and
 //! liveliness tokens show which processes are alive. The services use only the types of this crate, never zenoh's.
@@ -16,15 +16,14 @@ mod access;
 mod alive;
 mod config;
 mod error;
+mod followed;
 mod gate;
-mod history;
 mod ingest;
 mod latest;
 mod matching;
 mod metrics;
 mod pulse;
 mod refusals;
-mod runs;
 pub mod security;
 mod sender;
 mod session;
@@ -32,17 +31,16 @@ mod turns;
 mod viewer;
 mod weights;
 
-pub use alive::{AliveToken, AliveWatch};
+pub use alive::{AliveToken, AliveWatch, runs};
 pub use config::{BusConfig, BusMode};
 pub use error::{BusError, SendError};
+pub use followed::Followed;
 pub use gate::JoinCounts;
-pub use history::HistoryAnswer;
 pub use ingest::TrajectoryServer;
-pub use metrics::{MetricsPublisher, MetricsSample, MetricsSubscriber};
+pub use metrics::{HistoryAnswer, MetricsPublisher, MetricsSample, MetricsSubscriber};
 pub use pulse::{Pulse, Waiting};
-pub use runs::runs;
 pub use security::{KeysError, SecurityConfig};
 pub use sender::TrajectorySender;
-pub use session::{Bus, process_epoch_ms};
+pub use session::{Bus, unix_ms};
 pub use viewer::TrajectoryViewer;
-pub use weights::{LearnerWatch, WeightsPublisher, WeightsSubscriber};
+pub use weights::{WeightsPublisher, WeightsSubscriber};

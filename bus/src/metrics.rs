@@ -1,4 +1,4 @@
-//! Metrics as JSON, so that any zenoh client can read them without our schema.
+//! Metrics and the history of evaluations as JSON, so that any zenoh client can read them without our schema.
 
 use std::sync::{Arc, Weak};
 
@@ -25,6 +25,10 @@ pub struct MetricsPublisher {
     latest: Latest,
     publisher: Publisher<'static>,
 }
+
+/// Answers queries for [`keys::HISTORY_EVAL`] with JSON.
+#[derive(Debug)]
+pub struct HistoryAnswer(Latest);
 
 /// Receives the metrics of some keys.
 #[derive(Debug)]
@@ -66,6 +70,14 @@ impl Bus {
         Ok(MetricsPublisher { latest, publisher })
     }
 
+    /// Answers queries for the history from now on. Sends no reply before the first [`HistoryAnswer::set`].
+    ///
+    /// # Errors
+    /// If the session is closed.
+    pub async fn history_answer(&self) -> Result<HistoryAnswer, BusError> {
+        Ok(HistoryAnswer(Latest::declare(self, keys::HISTORY_EVAL.to_owned(), Encoding::APPLICATION_JSON).await?))
+    }
+
     /// Receives the latest metrics of each existing key and all metrics from now on. `suffix` may have wildcards: `**`
     /// for all, `actor/*` for all actors.
     ///
@@ -76,12 +88,8 @@ impl Bus {
         let (sender, samples) = mpsc::channel(QUEUE);
         let inbox = Arc::new(Inbox { sender, counts: self.counts.clone() });
         let live = inbox.clone();
-        let subscriber = self
-            .session
-            .declare_subscriber(key.clone())
-            .callback(move |sample| live.push(&sample))
-            .await
-            .map_err(BusError::during(format!("subscribing to {key}")))?;
+        let declared = self.session.declare_subscriber(key.clone()).callback(move |sample| live.push(&sample)).await;
+        let subscriber = declared.map_err(BusError::during(format!("subscribing to {key}")))?;
         let inbox = Arc::downgrade(&inbox);
         let asker = self.asker();
         let subscriber = MetricsSubscriber { samples, key, asker, inbox, _subscriber: subscriber, bus: self.clone() };
@@ -97,11 +105,21 @@ impl MetricsPublisher {
     /// # Errors
     /// If they cannot be serialized as JSON or the session is closed.
     pub async fn put(&self, metrics: &impl Serialize) -> Result<(), BusError> {
-        let key = || self.publisher.key_expr().to_string();
-        let json = serde_json::to_vec(metrics).map_err(|source| BusError::Json { key: key(), source })?;
-        let payload = ZBytes::from(json);
+        let key = self.publisher.key_expr().as_str();
+        let payload = json(key, metrics)?;
         self.latest.set(payload.clone());
-        self.publisher.put(payload).await.map_err(BusError::during(format!("putting {}", key())))
+        self.publisher.put(payload).await.map_err(BusError::during(format!("putting {key}")))
+    }
+}
+
+impl HistoryAnswer {
+    /// Sets the answer.
+    ///
+    /// # Errors
+    /// If the history cannot be serialized as JSON.
+    pub fn set(&self, history: &impl Serialize) -> Result<(), BusError> {
+        self.0.set(json(keys::HISTORY_EVAL, history)?);
+        Ok(())
     }
 }
 
@@ -114,19 +132,14 @@ impl MetricsSubscriber {
     pub async fn ask_latest(&self) -> Result<(), BusError> {
         let selector = format!("{}?{}", self.key, self.asker.turn().await);
         let Some(inbox) = self.inbox.upgrade() else { return Ok(()) };
-        self.bus
-            .session
-            .get(selector)
-            .target(QueryTarget::All)
-            // Otherwise replies wait for the slowest publisher, and then overwrite what was published meanwhile.
-            .consolidation(ConsolidationMode::None)
-            .callback(move |reply| {
-                if let Ok(sample) = reply.result() {
-                    inbox.push(sample);
-                }
-            })
-            .await
-            .map_err(BusError::during(format!("asking for {}", self.key)))
+        let query = self.bus.session.get(selector).target(QueryTarget::All);
+        // Otherwise replies wait for the slowest publisher, and then overwrite what was published meanwhile.
+        let query = query.consolidation(ConsolidationMode::None).callback(move |reply| {
+            if let Ok(sample) = reply.result() {
+                inbox.push(sample);
+            }
+        });
+        query.await.map_err(BusError::during(format!("asking for {}", self.key)))
     }
 
     /// Returns the next value; `None` after the session is closed.
@@ -163,4 +176,9 @@ impl Inbox {
         let suffix = key.strip_prefix(&keys::metrics("")).unwrap_or(key).to_owned();
         slot.send(MetricsSample { suffix, value });
     }
+}
+
+fn json(key: &str, value: &impl Serialize) -> Result<ZBytes, BusError> {
+    let json = serde_json::to_vec(value).map_err(|source| BusError::Json { key: key.to_owned(), source })?;
+    Ok(ZBytes::from(json))
 }

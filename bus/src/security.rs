@@ -112,7 +112,6 @@ impl Keys {
     /// Returns zenoh's settings for connecting with QUIC, which it keeps under `transport.link.tls`.
     pub(super) fn tls(&self) -> Value {
         let text = |name: &str| self.path(name).display().to_string();
-        let (certificate, key) = (text(CERTIFICATE_FILE), text(KEY_FILE));
         json!({
             "root_ca_certificate": text(AUTHORITY_FILE),
             "enable_mtls": true,
@@ -120,8 +119,8 @@ impl Keys {
             // server.
             "verify_name_on_connect": true,
             "close_link_on_expiration": true,
-            "connect_certificate": certificate,
-            "connect_private_key": key,
+            "connect_certificate": text(CERTIFICATE_FILE),
+            "connect_private_key": text(KEY_FILE),
         })
     }
 

@@ -94,14 +94,9 @@ impl TrajectorySender {
         if !self.0.learner_there.is_matching() {
             return Err(SendError::NoLearner);
         }
-        let replies = self
-            .0
-            .learner
-            .get()
-            .payload(payload)
-            .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(TRAJECTORY_SCHEMA))
-            .await
-            .map_err(SendError::Zenoh)?;
+        let encoding = Encoding::APPLICATION_PROTOBUF.with_schema(TRAJECTORY_SCHEMA);
+        let asked = self.0.learner.get().payload(payload).encoding(encoding).await;
+        let replies = asked.map_err(SendError::Zenoh)?;
         let Ok(reply) = replies.recv_async().await else { return Err(SendError::NoReply) };
         match reply.result() {
             Ok(sample) => Ok(decode_ack(&sample.payload().to_bytes())?),
@@ -126,22 +121,13 @@ impl TrajectorySender {
     /// Waits until a learner is present; returns at once if one is. Never returns after the session is closed; drop the
     /// future to cancel.
     pub async fn wait_for_learner(&self) {
-        wait_for(self.0.learner_there.watch()).await;
+        if self.watch_learner().wait_for(|&there| there).await.is_err() {
+            std::future::pending::<()>().await;
+        }
     }
 
-    /// Returns whether the actor's trajectories have viewers.
-    pub fn viewers_are_there(&self) -> bool {
-        self.0.viewers_there.is_matching()
-    }
-
-    /// Waits until there is a viewer, like [`Self::wait_for_learner`].
-    pub async fn wait_for_viewer(&self) {
-        wait_for(self.0.viewers_there.watch()).await;
-    }
-}
-
-async fn wait_for(mut there: watch::Receiver<bool>) {
-    if there.wait_for(|&there| there).await.is_err() {
-        std::future::pending::<()>().await;
+    /// Returns a receiver of whether the actor's trajectories have viewers.
+    pub fn watch_viewers(&self) -> watch::Receiver<bool> {
+        self.0.viewers_there.watch()
     }
 }

@@ -149,8 +149,8 @@ fn check_clock(now: SystemTime) -> Result<(), BusError> {
     if now < UNIX_EPOCH { Err(BusError::Clock) } else { Ok(()) }
 }
 
-/// Returns the current time in milliseconds since 1970, which distinguishes a restarted process from its predecessor.
-pub fn process_epoch_ms() -> u64 {
+/// Returns the milliseconds since 1970; 0 if the clock is earlier.
+pub fn unix_ms() -> u64 {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since_1970.as_millis()).unwrap_or(u64::MAX)
 }

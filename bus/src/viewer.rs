@@ -27,22 +27,18 @@ impl Bus {
         let key = actor.map_or_else(|| keys::TRAJECTORIES_ALL.to_owned(), keys::trajectories);
         let (sender, trajectories) = mpsc::channel(QUEUE);
         let counts = self.counts.clone();
-        let subscriber = self
-            .session
-            .declare_subscriber(key.clone())
-            .callback(move |sample| {
-                // Reserve a slot first: a trajectory that will be dropped need not be decoded.
-                let Ok(slot) = sender.try_reserve() else {
-                    counts.lock().viewed_dropped_total += 1;
-                    return;
-                };
-                match decode_trajectory(&sample.payload().to_bytes()) {
-                    Ok(trajectory) => slot.send(trajectory),
-                    Err(_) => counts.lock().viewed_invalid_total += 1,
-                }
-            })
-            .await
-            .map_err(BusError::during(format!("watching {key}")))?;
+        let declared = self.session.declare_subscriber(key.clone()).callback(move |sample| {
+            // Reserve a slot first: a trajectory that will be dropped need not be decoded.
+            let Ok(slot) = sender.try_reserve() else {
+                counts.lock().viewed_dropped_total += 1;
+                return;
+            };
+            match decode_trajectory(&sample.payload().to_bytes()) {
+                Ok(trajectory) => slot.send(trajectory),
+                Err(_) => counts.lock().viewed_invalid_total += 1,
+            }
+        });
+        let subscriber = declared.await.map_err(BusError::during(format!("watching {key}")))?;
         Ok(TrajectoryViewer { trajectories, _subscriber: subscriber, _open: self.clone() })
     }
 }

@@ -15,7 +15,7 @@ use zenoh::sample::Sample;
 use super::latest::{Asker, Latest};
 use super::matching::Matching;
 use super::sender::REFUSAL_SCHEMA;
-use super::{Bus, BusError, process_epoch_ms};
+use super::{Bus, BusError, Followed, unix_ms};
 use proto::codec::{
     MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice, encode_weights,
 };
@@ -45,37 +45,20 @@ pub struct WeightsPublisher {
     notices: Publisher<'static>,
 }
 
-/// The side of actors and the evaluator: holds the newest weights that were pulled, or a value derived from them.
-#[derive(Debug)]
-pub struct WeightsSubscriber<T = Weights> {
-    weights: watch::Receiver<Option<Arc<T>>>,
-    _worker: AbortOnDropHandle<()>,
-    _open: Bus,
-}
-
-/// Follows whether a learner of the run can be reached.
-#[derive(Debug)]
-pub struct LearnerWatch {
-    there: Matching,
-    _open: Bus,
-}
-
-impl LearnerWatch {
-    /// Returns a receiver of whether a learner is there, and of every change.
-    pub fn watch(&self) -> watch::Receiver<bool> {
-        self.there.watch()
-    }
-}
+/// The side of actors and the evaluator: the newest weights that were pulled, or a value derived from them; `None`
+/// before the first.
+pub type WeightsSubscriber<T = Weights> = Followed<Option<Arc<T>>>;
 
 impl Bus {
     /// Follows whether a learner of the run can be reached.
     ///
     /// # Errors
     /// If the session is closed.
-    pub async fn learner_watch(&self) -> Result<LearnerWatch, BusError> {
+    pub async fn learner_watch(&self) -> Result<Followed<bool>, BusError> {
         let querier = self.session.declare_querier(keys::WEIGHTS_LATEST).await;
         let querier = querier.map_err(BusError::during("looking for a learner"))?;
-        Ok(LearnerWatch { there: Matching::of_querier(Arc::new(querier)).await?, _open: self.clone() })
+        let there = Matching::of_querier(Arc::new(querier)).await?;
+        Ok(Followed { value: there.watch(), _source: Box::new(there), _open: self.clone() })
     }
 
     /// Publishes weights under this process's own epoch. A run should have one publisher.
@@ -94,7 +77,8 @@ impl Bus {
             .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(NOTICE_SCHEMA))
             .await
             .map_err(BusError::during("declaring the notices of weights"))?;
-        Ok(WeightsPublisher { epoch: process_epoch_ms(), latest, notices })
+        // The time distinguishes a restarted learner from its predecessor.
+        Ok(WeightsPublisher { epoch: unix_ms(), latest, notices })
     }
 
     /// Follows the newest weights from now on; a late joiner gets the current ones.
@@ -102,17 +86,17 @@ impl Bus {
     /// # Errors
     /// If the session is closed.
     pub async fn weights_subscriber(&self) -> Result<WeightsSubscriber, BusError> {
-        self.weights_subscriber_keeping(|weights| weights).await
+        self.weights_subscriber_keeping(Some).await
     }
 
-    /// Like [`Self::weights_subscriber`], but stores only the result of `keep`: benchmarks with thousands of sessions
-    /// in one process cannot hold all weights.
+    /// Like [`Self::weights_subscriber`], but stores only the result of `keep`, which may block. If that is `None` or
+    /// it panics, the weights count as refused, and the result before stays.
     ///
     /// # Errors
     /// If the session is closed.
     pub async fn weights_subscriber_keeping<T: Send + Sync + 'static>(
         &self,
-        keep: fn(Weights) -> T,
+        keep: impl Fn(Weights) -> Option<T> + Send + Sync + 'static,
     ) -> Result<WeightsSubscriber<T>, BusError> {
         let failed = || BusError::during("subscribing to weights");
         // Only the newest notice matters.
@@ -130,13 +114,10 @@ impl Bus {
         let learner = Arc::new(querier);
         let learner_there = Matching::of_querier(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
-        let (counts, asker) = (self.counts.clone(), self.asker());
+        let (counts, asker, keep) = (self.counts.clone(), self.asker(), Arc::new(keep));
         let puller = Puller { learner, learner_there, asker, notices, counts, held: None, keep, sender };
-        Ok(WeightsSubscriber {
-            weights,
-            _worker: AbortOnDropHandle::new(tokio::spawn(puller.run())),
-            _open: self.clone(),
-        })
+        let worker = AbortOnDropHandle::new(tokio::spawn(puller.run()));
+        Ok(Followed { value: weights, _source: Box::new(worker), _open: self.clone() })
     }
 }
 
@@ -157,13 +138,6 @@ impl WeightsPublisher {
     }
 }
 
-impl<T> WeightsSubscriber<T> {
-    /// Returns a receiver of the newest weights that were pulled, `None` before the first.
-    pub fn watch(&self) -> watch::Receiver<Option<Arc<T>>> {
-        self.weights.clone()
-    }
-}
-
 /// How a pull ended.
 enum Pulled {
     /// The newest weights are here, or are invalid and would be the same after a retry.
@@ -177,7 +151,7 @@ enum Pulled {
 }
 
 /// Pulls weights in the background.
-struct Puller<T> {
+struct Puller<T, K> {
     learner: Arc<Querier<'static>>,
     learner_there: Matching,
     asker: Asker,
@@ -185,11 +159,11 @@ struct Puller<T> {
     counts: Arc<Mutex<BusCounts>>,
     /// The notice that corresponds to the held weights.
     held: Option<WeightsNotice>,
-    keep: fn(Weights) -> T,
+    keep: Arc<K>,
     sender: watch::Sender<Option<Arc<T>>>,
 }
 
-impl<T: Send + Sync + 'static> Puller<T> {
+impl<T: Send + Sync + 'static, K: Fn(Weights) -> Option<T> + Send + Sync + 'static> Puller<T, K> {
     async fn run(mut self) {
         let mut learner_there = self.learner_there.watch();
         let mut wanted = *learner_there.borrow_and_update();
@@ -247,7 +221,11 @@ impl<T: Send + Sync + 'static> Puller<T> {
                 let pulled = Some(WeightsNotice { epoch, version: weights.version });
                 if self.held != pulled {
                     self.held = pulled;
-                    self.sender.send_replace(Some(Arc::new((self.keep)(weights))));
+                    let keep = self.keep.clone();
+                    match tokio::task::spawn_blocking(move || keep(weights)).await {
+                        Ok(Some(kept)) => drop(self.sender.send_replace(Some(Arc::new(kept)))),
+                        Ok(None) | Err(_) => self.counts.lock().weights_refused_total += 1,
+                    }
                 }
             }
             Err(error) => {

@@ -214,9 +214,7 @@ impl RunView {
                 let value: LearnerMetrics = parse(value)?;
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
-                if !value.proposals.as_ref().is_none_or(proposals::are_believable) {
-                    return Err(UNREADABLE);
-                }
+                readable_if(value.proposals.as_ref().is_none_or(proposals::are_believable))?;
                 // A learner that waits for its disk reports the same weights again.
                 let is_same = |heard: &Newest<LearnerMetrics>| heard.value.weights_version == value.weights_version;
                 let is_update = !self.learner.as_ref().is_some_and(is_same);
@@ -240,7 +238,7 @@ impl RunView {
             }
             _ if suffix.starts_with("actor/") => {
                 let value: ActorMetrics = parse(value)?;
-                is_key(suffix, &keys::metrics_actor(&value.actor))?;
+                readable_if(suffix == keys::metrics_actor(&value.actor))?;
                 if !self.actors.contains_key(&value.actor) && !self.make_room_for_actor() {
                     return Err(LIMIT);
                 }
@@ -251,7 +249,7 @@ impl RunView {
             }
             _ if suffix.starts_with("eval/") => {
                 let value: EvalBlueprint = parse(value)?;
-                is_key(suffix, &keys::metrics_eval(value.split, &value.blueprint))?;
+                readable_if(suffix == keys::metrics_eval(value.split, &value.blueprint))?;
                 believe(rates(&value.sampled).into_iter().chain(rates(&value.greedy)))?;
                 if !self.blueprints.contains_key(&value.blueprint) && self.blueprints.len() >= MAX_BLUEPRINTS {
                     return Err(LIMIT);
@@ -304,8 +302,9 @@ fn parse<T: DeserializeOwned>(value: &Value) -> Result<T, Refusal> {
     T::deserialize(value).map_err(|_| UNREADABLE)
 }
 
-fn is_key(suffix: &str, expected: &str) -> Result<(), Refusal> {
-    if suffix == expected { Ok(()) } else { Err(UNREADABLE) }
+/// Refuses content as unreadable unless this holds.
+fn readable_if(holds: bool) -> Result<(), Refusal> {
+    if holds { Ok(()) } else { Err(UNREADABLE) }
 }
 
 fn rates(outcome: &EvalOutcome) -> [&SuccessRate; 2] {
@@ -315,11 +314,10 @@ fn rates(outcome: &EvalOutcome) -> [&SuccessRate; 2] {
 /// Rejects rates that no counts can produce.
 fn believe<'a>(rates: impl IntoIterator<Item = &'a SuccessRate>) -> Result<(), Refusal> {
     let is_share = |share: f64| (0.0..=1.0).contains(&share);
-    let are_fine = rates.into_iter().all(|success| {
+    readable_if(rates.into_iter().all(|success| {
         success.n_successes <= success.n_episodes
             && [success.rate, success.wilson_low, success.wilson_high].into_iter().all(is_share)
-    });
-    if are_fine { Ok(()) } else { Err(UNREADABLE) }
+    }))
 }
 
 /// Returns the counters of a struct by field name. Going through serde includes fields that are added later.

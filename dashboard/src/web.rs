@@ -158,10 +158,7 @@ impl Page {
         if let (Kind::Play, Some(stage), Some(first)) = (shown.about.kind, shown.stage.clone(), first) {
             let (replays, ended) = (replays.clone(), shutdown.clone());
             tasks.spawn(async move {
-                tokio::select! {
-                    () = ended.cancelled() => {}
-                    () = stage.open_with(first, replays) => {}
-                }
+                ended.run_until_cancelled(stage.open_with(first, replays)).await;
             });
         }
         let farewell = shown.about.farewell.clone();
@@ -208,11 +205,8 @@ impl Page {
         let _closed_with_this = closing.clone().drop_guard();
         let server = tokio::spawn(server::serve(self.listener, routes, counting, closing.clone()));
         let mut beat = tokio::time::interval(BEAT);
-        loop {
-            tokio::select! {
-                () = shutdown.cancelled() => break,
-                _ = beat.tick() => boards.iter().for_each(|board| board.beat()),
-            }
+        while shutdown.run_until_cancelled(beat.tick()).await.is_some() {
+            boards.iter().for_each(|board| board.beat());
         }
         boards.iter().for_each(|board| board.ended(&farewell));
         places.left().await;

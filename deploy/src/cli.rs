@@ -14,51 +14,27 @@ use clap_complete::Shell;
 
 mod blueprints;
 mod bus;
+mod examples;
 mod record;
-mod render;
-mod report;
-mod serve;
 mod settings;
 mod sweep;
 mod values;
-mod watch;
+mod views;
 
-pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, CheckArgs, ShowArgs};
-pub use self::bus::{EndpointArgs, HealthArgs, HealthcheckArgs, KeysArgs, KeysCommand, RouterArgs};
+pub use self::blueprints::{BlueprintsArgs, BlueprintsCommand, ShowArgs};
+pub use self::bus::{CertificateArgs, EndpointArgs, HealthArgs, KeysArgs, KeysCommand, RouterArgs};
 pub use self::record::{GoalArgs, RecordArgs};
-pub use self::render::{RenderArgs, VideoFormat};
-pub use self::report::ReportArgs;
-pub use self::serve::ServeArgs;
 pub use self::settings::{ConfigArgs, Settings};
 pub use self::sweep::SweepArgs;
-pub use self::watch::WatchArgs;
+pub use self::views::{RenderArgs, ReportArgs, ServeArgs, VideoFormat, WatchArgs};
 
 use crate::config::Override;
 use crate::exit::Failure;
 use crate::telemetry::LogFormat;
 
-/// What most people type first.
-const EXAMPLES: &str = "\
-Examples:
-  lodestone play scorpion           Watch the shipped policy build a scorpion
-  lodestone train                   Train for a minute, with a page to look at
-  lodestone watch                   Watch a training of this machine in the terminal
-  lodestone eval --pretrained       Evaluate the shipped policy
-  lodestone train --help            What each preset is for and takes";
-
-/// What `train` is used for.
-const TRAININGS: &str = "\
-Examples:
-  lodestone train --preset laptop                         Learn all training blueprints
-  lodestone train --blueprint scorpion                    Learn one blueprint
-  lodestone train --set learner.gamma=0.98                Change a setting
-  lodestone train --print-config --explain                List all settings
-  lodestone train --resume runs/NAME --steps 1e6          Continue a run
-  lodestone train --preset laptop --init-from pretrained  Start from the shipped policy";
-
 /// Trains an agent to assemble magnet blocks into blueprints.
 #[derive(Debug, Parser)]
-#[command(name = "lodestone", version, max_term_width = 100, arg_required_else_help = true, after_help = EXAMPLES)]
+#[command(name = "lodestone", version, max_term_width = 100, arg_required_else_help = true, after_help = examples::PROGRAM)]
 pub struct Cli {
     /// The subcommand.
     #[command(subcommand)]
@@ -147,43 +123,63 @@ fn variable(error: &clap::Error) -> Option<String> {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Train in one process: learner, actors, and evaluator.
-    #[command(after_help = TRAININGS)]
+    #[command(after_help = examples::TRAIN)]
     Train(TrainArgs),
     /// Train all combinations of some settings, or random ones, with several seeds each, and compare them.
+    #[command(after_help = examples::SWEEP)]
     Sweep(SweepArgs),
     /// Step worlds and send trajectories to the learner of a run.
+    #[command(after_help = examples::ACTOR)]
     Actor(MemberArgs),
     /// Train on the trajectories of a run's actors.
+    #[command(after_help = examples::LEARNER)]
     Learner(LearnerArgs),
     /// Evaluate a run's weights as they are published.
+    #[command(after_help = examples::EVALUATOR)]
     Evaluator(EvaluatorArgs),
     /// Route messages between the processes of runs.
+    #[command(after_help = examples::ROUTER)]
     Router(RouterArgs),
     /// Create keys, which processes need to join a router that other machines can reach.
     #[command(subcommand)]
     Keys(KeysCommand),
     /// Check the health of a service on this machine: exit code 0 if it is healthy, else 1 and the reason.
-    Healthcheck(HealthcheckArgs),
+    Healthcheck {
+        /// The file that the service writes with --health-file.
+        #[arg(long, value_name = "FILE", env = "LODESTONE_HEALTH_FILE")]
+        file: PathBuf,
+        /// Check only that the process is alive and making progress, not that it reaches a router.
+        #[arg(long)]
+        alive: bool,
+    },
     /// Watch a run live: success, throughput, losses, actors, and drops.
+    #[command(after_help = examples::WATCH)]
     Watch(WatchArgs),
     /// Evaluate a checkpoint, the shipped policy, or the scripted expert.
+    #[command(after_help = examples::EVAL)]
     Eval(EvalArgs),
     /// Watch a policy build on a web page: any blueprint, from any start, to rotate and step through.
+    #[command(after_help = examples::PLAY)]
     Play(PlayArgs),
     /// Show finished runs on a web page, several side by side.
+    #[command(after_help = examples::SERVE)]
     Serve(ServeArgs),
     /// Export the policy of a checkpoint to a single file, for acting only.
+    #[command(after_help = examples::EXPORT)]
     Export(ExportArgs),
     /// Write tables of how success grew during a run, by group and by blueprint.
+    #[command(after_help = examples::REPORT)]
     Report(ReportArgs),
     /// Record episodes as trajectories, for `render`.
     ///
     /// For a Minari dataset for offline learning, use the Python package: `python -m lodestone.record`.
+    #[command(after_help = examples::RECORD)]
     Record(RecordArgs),
     /// Render recorded or live episodes as videos.
+    #[command(after_help = examples::RENDER)]
     Render(RenderArgs),
-    /// List, check, generate, and draw blueprints.
-    #[command(subcommand)]
+    /// List, check, and draw blueprints.
+    #[command(subcommand, after_help = examples::BLUEPRINTS)]
     Blueprints(BlueprintsCommand),
     /// Print shell completions; load them with `source <(lodestone completions bash)`.
     Completions {
@@ -215,7 +211,7 @@ pub struct TrainArgs {
     pub(crate) config: ConfigArgs,
     #[command(flatten)]
     pub(crate) run: RunArgs,
-    /// Train and evaluate on this blueprint only: an id or a name such as scorpion, generated ones included, a file, or a
+    /// Train and evaluate on this blueprint only: an id or a name such as scorpion, a file, or a
     /// folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub(crate) blueprint: Vec<OsString>,
@@ -351,7 +347,7 @@ pub struct PlayArgs {
     /// The shipped policy, as without --checkpoint.
     #[arg(long, conflicts_with = "checkpoint")]
     pub(crate) pretrained: bool,
-    /// Only these blueprints: ids or names such as scorpion, generated ones included, files, or folders of files [default: the whole catalog].
+    /// Only these blueprints: ids or names such as scorpion, files, or folders of files [default: the whole catalog].
     #[arg(value_name = "FILE|ID")]
     pub(crate) ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
@@ -394,7 +390,7 @@ pub struct EvalArgs {
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated [default: the splits of the run's last evaluation, without validation unless it is the only one; of the
     /// shipped policy, the paper's].
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "SPLIT")]
     pub(crate) split: Vec<Split>,
     /// Episodes per blueprint and action mode.
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -446,6 +442,21 @@ mod tests {
     }
 
     #[test]
+    fn examples_are_commands() {
+        let program = Cli::command();
+        for command in [&program].into_iter().chain(program.get_subcommands()) {
+            let Some(help) = command.get_after_help() else { continue };
+            for example in help.to_string().lines().skip(1) {
+                let words = example.trim().split("  ").next().unwrap().split(' ');
+                match Cli::try_parse_from(words) {
+                    Ok(_) => {}
+                    Err(error) => assert_eq!(error.kind(), ErrorKind::DisplayHelp, "{example}: {error}"),
+                }
+            }
+        }
+    }
+
+    #[test]
     fn threads_are_numbers_wherever_episodes_are_played() {
         for command in [
             &["eval", "--pretrained"][..],
@@ -456,13 +467,5 @@ mod tests {
             let words = ["lodestone"].iter().chain(command).chain(&["--threads", "2"]);
             assert!(Cli::try_parse_from(words).is_ok(), "{command:?}");
         }
-    }
-
-    #[test]
-    fn flags_win_over_the_preset() {
-        let flags = ["lodestone", "train", "--preset", "paper", "--seed", "7", "--steps", "1e3"];
-        let Command::Train(args) = Cli::try_parse_from(flags).unwrap().command else { panic!("not train") };
-        let config = args.config.load(None, args.run.overrides()).unwrap().config;
-        assert_eq!((config.seed, config.n_env_steps, config.bus.run.as_str()), (7, 1000, "paper"));
     }
 }

@@ -5,10 +5,10 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use blueprints::outside;
-use bus::{Bus, JoinCounts};
+use bus::{Bus, JoinCounts, unix_ms};
 use dashboard::waits;
 use proto::metrics::NotSaved;
 use serde::{Deserialize, Serialize};
@@ -16,6 +16,7 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 use crate::exit::Failure;
+use crate::replace::{PLAIN, replace_unsynced};
 
 /// Time between writes of the state.
 const PERIOD: Duration = Duration::from_secs(2);
@@ -29,15 +30,10 @@ const MAX_IDLE: Duration = Duration::from_secs(300);
 /// Maximum size of a state in bytes; it has about 200.
 const MAX_BYTES: u64 = 1 << 16;
 
-/// What follows the file's name in the name of a file that is being written; the process id comes last.
-const NEW: &str = ".new.";
-
-/// State of a service.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct State {
     /// Role of the service, for example `actor`.
     pub(crate) role: String,
-    /// Process id.
     pub(crate) pid: u32,
     /// When this state was written, in milliseconds since 1970.
     pub(crate) unix_ms: u64,
@@ -67,7 +63,6 @@ impl Reporter {
         let (sender, bus) = watch::channel(None);
         let Some(path) = file.map(Path::to_owned) else { return Ok(Self { bus: sender, writing: None }) };
         let role = role.to_owned();
-        remove_leftovers(&path);
         write(&path, &state(&role, false, Duration::ZERO))
             .map_err(|error| Failure::Usage(format!("--health-file: cannot write {}: {error}", path.display())))?;
         let its_path = path.clone();
@@ -146,35 +141,10 @@ fn state(role: &str, connected: bool, idle: Duration) -> State {
     State { role: role.to_owned(), pid, unix_ms: unix_ms(), connected, idle_s, joins: None, not_saved: None }
 }
 
-/// Replaces the file atomically, so that no reader sees a partial state.
+/// Replaces the file, so that no reader sees a partial state. A power loss ends the process too, so the disk need not be
+/// waited for every time.
 fn write(path: &Path, state: &State) -> io::Result<()> {
-    let mut new = path.as_os_str().to_owned();
-    new.push(format!("{NEW}{}", state.pid));
-    let written = fs::write(&new, serde_json::to_vec(state)?).and_then(|()| fs::rename(&new, path));
-    if written.is_err() {
-        // The first error counts, and the file may not exist.
-        let _ = fs::remove_file(&new);
-    }
-    written
-}
-
-/// Removes what processes left behind that were killed while they wrote this file.
-fn remove_leftovers(path: &Path) {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let name = path.file_name().unwrap_or_default().as_encoded_bytes();
-    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let found = entry.file_name();
-        let rest = found.as_encoded_bytes().strip_prefix(name).and_then(|rest| rest.strip_prefix(NEW.as_bytes()));
-        if rest.is_some_and(|pid| !pid.is_empty() && pid.iter().all(u8::is_ascii_digit)) {
-            // Only tidiness is lost if it stays.
-            let _ = fs::remove_file(entry.path());
-        }
-    }
-}
-
-fn unix_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+    replace_unsynced(path, &serde_json::to_vec(state)?, PLAIN)
 }
 
 #[cfg(test)]
@@ -215,33 +185,6 @@ mod tests {
         assert!(check(&file, true).unwrap_err().to_string().contains("no service reports"));
         fs::write(&file, "{").unwrap();
         assert!(check(&file, true).unwrap_err().to_string().contains("holds no state"));
-    }
-
-    #[test]
-    fn services_with_similar_files_share_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        // In the way of a temporary file that both would use.
-        fs::create_dir(folder.path().join("actor.new")).unwrap();
-        for name in ["actor.1", "actor.2"] {
-            let file = folder.path().join(name);
-            write(&file, &state(name, true, Duration::ZERO)).unwrap();
-            assert_eq!(check(&file, false).unwrap().role, name);
-        }
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3, "no temporary file stays");
-    }
-
-    #[tokio::test]
-    async fn a_start_tidies_up_after_killed_processes() {
-        let folder = tempfile::tempdir().unwrap();
-        let left = ["health.new.7", "health.new.812"];
-        let others = ["health.new.", "health.new.x", "other.new.7"];
-        for name in left.iter().chain(&others) {
-            fs::write(folder.path().join(name), "{").unwrap();
-        }
-        let reporter = Reporter::start("router", Some(&folder.path().join("health"))).unwrap();
-        assert!(left.iter().all(|name| !folder.path().join(name).exists()));
-        assert!(others.iter().all(|name| folder.path().join(name).exists()));
-        drop(reporter);
     }
 
     #[tokio::test]

@@ -204,7 +204,6 @@ fn valid_from_now(n_days: u32) -> Range<OffsetDateTime> {
     now - CLOCK_SLACK..now + Duration::days(i64::from(n_days))
 }
 
-/// Parameters of a certificate with this name.
 fn parameters(name: &str, valid: &Range<OffsetDateTime>) -> CertificateParams {
     let mut params = CertificateParams::default();
     params.distinguished_name.push(DnType::CommonName, name);

@@ -10,7 +10,6 @@ pub mod config;
 pub mod exit;
 mod health;
 pub mod keys;
-mod limits;
 pub mod live;
 mod names;
 mod replace;

@@ -3,7 +3,6 @@
 use rand::TryRng;
 use rand::rngs::{SysError, SysRng};
 
-/// Characters of a random name.
 const LETTERS: &[u8; 36] = b"abcdefghijklmnopqrstuvwxyz0123456789";
 
 /// Characters after the role: 36^10 names, so two of ten thousand processes share one with a probability of 1 in 70

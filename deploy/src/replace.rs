@@ -5,6 +5,8 @@ use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
+use tempfile::NamedTempFile;
+
 /// Mode of a file without secrets; the process's umask takes away from it.
 pub(crate) const PLAIN: u32 = 0o666;
 
@@ -16,6 +18,20 @@ pub(crate) const SECRET: u32 = 0o600;
 /// # Errors
 /// When the file cannot be written; an existing file then stays as it is.
 pub(crate) fn replace(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
+    let part = write_part(path, bytes, mode)?;
+    part.as_file().sync_all()?;
+    part.persist(path)?;
+    Ok(())
+}
+
+/// Like [`replace`], but does not wait for the disk: after a power loss, the file may be empty.
+pub(crate) fn replace_unsynced(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
+    write_part(path, bytes, mode)?.persist(path)?;
+    Ok(())
+}
+
+/// Writes a new file beside `path`, which is removed when dropped.
+fn write_part(path: &Path, bytes: &[u8], mode: u32) -> io::Result<NamedTempFile> {
     // A rename works only within a file system. The name is new, because an existing file would keep its mode, and
     // short, because the file's own name may be as long as a name can be.
     let mut part = tempfile::Builder::new()
@@ -24,9 +40,7 @@ pub(crate) fn replace(path: &Path, bytes: &[u8], mode: u32) -> io::Result<()> {
         .permissions(Permissions::from_mode(mode))
         .tempfile_in(path.parent().unwrap_or(Path::new("")))?;
     part.write_all(bytes)?;
-    part.as_file().sync_all()?;
-    part.persist(path)?;
-    Ok(())
+    Ok(part)
 }
 
 #[cfg(test)]
@@ -40,7 +54,7 @@ mod tests {
     fn a_reader_sees_the_old_bytes_or_the_new_ones() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.toml");
-        replace(&path, b"old", PLAIN).unwrap();
+        replace_unsynced(&path, b"old", PLAIN).unwrap();
         let mut reader = File::open(&path).unwrap();
         replace(&path, b"new", SECRET).unwrap();
         let mut text = String::new();

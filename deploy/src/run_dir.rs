@@ -22,11 +22,8 @@ use crate::shell;
 /// The existing folder of a run; no other process learns in it until this is dropped.
 #[derive(Debug)]
 pub(crate) struct RunDir {
-    /// The paths of the files in the folder.
     pub(crate) paths: RunPaths,
     is_new: bool,
-    /// The preset that the run was started with, if it used a preset alone.
-    pub(crate) preset: Option<String>,
     /// The operating system releases the lock when the process ends, for whatever reason.
     _lock: File,
 }
@@ -199,7 +196,7 @@ impl RunDir {
         preset: Option<&Preset>,
         origin: &Origin,
     ) -> Result<Self, Failure> {
-        let mut claimed = Self::claim(path, config, origin)?;
+        let claimed = Self::claim(path, config, origin)?;
         claimed.describe(config, preset, origin)?;
         Ok(claimed)
     }
@@ -230,21 +227,16 @@ impl RunDir {
         let is_new = !paths.config().exists();
         if has_begun(&paths) && origin.config.as_ref() != Some(&path) {
             return Err(Failure::Usage(format!(
-                "{shown} holds a run already: choose another `--run-dir`, or continue a training with `train --resume {}`",
+                "{shown} holds a run already: choose another `--run-dir`, or continue it: `train --resume {}`, and `--auto-resume` for a learner",
                 shell::path(&path)
             )));
         }
-        Ok(Self { paths, is_new, preset: None, _lock: lock })
+        Ok(Self { paths, is_new, _lock: lock })
     }
 
     /// Writes `config.toml` and `meta.json`; other processes may be reading them. A resumed run keeps the `preset` that
     /// it was started with.
-    pub(crate) fn describe(
-        &mut self,
-        config: &Config,
-        preset: Option<&Preset>,
-        origin: &Origin,
-    ) -> Result<(), Failure> {
+    pub(crate) fn describe(&self, config: &Config, preset: Option<&Preset>, origin: &Origin) -> Result<(), Failure> {
         let before = origin.config.as_ref().and_then(|folder| preset_of(&RunPaths::new(folder)));
         let preset = preset.map(|preset| preset.name.to_owned()).or(before);
         let meta = Meta {
@@ -266,9 +258,7 @@ impl RunDir {
         let mode = if has_token { SECRET } else { PLAIN };
         replace(&self.paths.config(), config.to_toml().as_bytes(), mode)
             .and_then(|()| replace(&self.paths.meta(), (meta + "\n").as_bytes(), mode))
-            .map_err(unwritable(self.path()))?;
-        self.preset = preset;
-        Ok(())
+            .map_err(unwritable(self.path()))
     }
 
     /// Removes what was written for a new run that could not start.
@@ -290,7 +280,6 @@ impl RunDir {
         }
     }
 
-    /// The path of the folder.
     pub(crate) fn path(&self) -> &Path {
         self.paths.folder()
     }
@@ -309,7 +298,6 @@ fn utc(time: SystemTime) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Read;
     use std::os::unix::fs::PermissionsExt;
     use std::time::{Duration, UNIX_EPOCH};
 
@@ -362,7 +350,7 @@ mod tests {
         drop(start(&path, &Origin::default()).unwrap());
         fs::write(RunPaths::new(&path).metrics(), "{}\n").unwrap();
         let message = start(&path, &Origin::default()).unwrap_err().to_string();
-        assert!(message.contains("or continue a training with `train --resume"), "{message}");
+        assert!(message.contains("or continue it: `train --resume"), "{message}");
         let resumed = Origin::find(&RunArgs { resume: Some(path.clone()), ..RunArgs::default() });
         assert_eq!(resumed, Origin { config: Some(path.clone()), checkpoint: None }, "it was killed before it saved");
         drop(start(&path, &resumed).unwrap());
@@ -379,25 +367,10 @@ mod tests {
         let preset = Preset::find("smoke").unwrap();
         drop(RunDir::create(Some(&path), &Config::default(), Some(preset), &Origin::default()).unwrap());
         let resumed = Origin { config: Some(path.clone()), checkpoint: None };
-        assert_eq!(start(&path, &resumed).unwrap().preset.as_deref(), Some("smoke"));
+        drop(start(&path, &resumed).unwrap());
         assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("smoke"));
         fs::write(RunPaths::new(&path).meta(), "{}").unwrap();
         assert_eq!(preset_of(&RunPaths::new(&path)), None);
-    }
-
-    #[test]
-    fn a_start_does_not_disturb_readers_of_the_configuration() {
-        let folder = tempfile::tempdir().unwrap();
-        let paths = RunPaths::new(folder.path());
-        drop(start(folder.path(), &Origin::default()).unwrap());
-        let before = fs::read_to_string(paths.config()).unwrap();
-        let mut reader = File::open(paths.config()).unwrap();
-        let config = Config { seed: 2, ..Config::default() };
-        drop(RunDir::create(Some(folder.path()), &config, None, &Origin::default()).unwrap());
-        let mut read = String::new();
-        reader.read_to_string(&mut read).unwrap();
-        assert_eq!(read, before);
-        assert_eq!(fs::read_to_string(paths.config()).unwrap(), config.to_toml());
     }
 
     #[test]

@@ -19,8 +19,9 @@ pub enum LogFormat {
 }
 
 /// zenoh logs each lost connection at several levels, of which errors are enough. Its handlers also log an error for
-/// each reply that arrives after its receiver is gone, for example when a process ends; that is harmless here.
-const DEFAULT_FILTER: &str = "info,zenoh=error,zenoh::api::handlers=off";
+/// each reply that arrives after its receiver is gone, and its routing for each message of a process that ends; both are
+/// harmless here.
+const DEFAULT_FILTER: &str = "info,zenoh=error,zenoh::api::handlers=off,zenoh::net::routing=off";
 
 /// Installs the logger; `RUST_LOG` overrides the default filter.
 ///

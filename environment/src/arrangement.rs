@@ -3,6 +3,7 @@
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use nalgebra::{Isometry3, Vector3};
 use proto::{Joint, Pose};
+use serde::{Deserialize, Serialize};
 
 use crate::config::MagnetConfig;
 use crate::connections::relative_along;
@@ -33,7 +34,7 @@ const TOUCH_M: f32 = 0.002;
 pub(crate) const RUNAWAY_M: f32 = 40.0;
 
 /// Where blocks lie at rest, and which of them are connected.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Arrangement {
     /// Pose of each block.
     pub poses: [Pose; N_BLOCKS],

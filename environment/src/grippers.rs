@@ -82,9 +82,7 @@ impl Grippers {
                 };
             }
         }
-        for block in BlockIdx::all() {
-            engine.set_gravity(block, true);
-        }
+        BlockIdx::all().for_each(|block| engine.set_gravity(block, true));
     }
 
     /// Sets the held blocks in motion. Call this before a substep, after the magnets' forces. Returns the blocks that

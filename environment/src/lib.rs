@@ -2,13 +2,12 @@
 //!
 //! Reading order: [`mod@env`] (the interface) → [`world`] → `reset`, [`arrangement`], `randomization`, `grippers`, `magnets`,
 //! `connections` (what happens in a step) → `engine` (the rigid-body engine) → [`reward`], [`success`] (pure functions)
-//! → [`vec_env`] (many worlds at a time) → [`expert`] → [`config`] → [`contract`] (checks for any environment).
+//! → [`vec_env`] (many worlds at a time) → [`expert`] → [`config`].
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod arrangement;
 pub mod config;
-pub mod contract;
 pub mod env;
 pub mod expert;
 pub mod reward;

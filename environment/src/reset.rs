@@ -45,7 +45,7 @@ pub fn sample_assignment(rng: &mut ChaCha8Rng) -> [BlockIdx; N_BLOCKS] {
     let inventory = Inventory::standard();
     let mut assignment = BlockIdx::array(|block| block);
     for block_type in inventory.types() {
-        let slots = inventory.blocks_of_type(&block_type.name);
+        let slots = inventory.blocks_of_type(block_type.name);
         let mut players = slots.clone();
         players.shuffle(rng);
         for (slot, player) in slots.into_iter().zip(players) {

@@ -92,11 +92,6 @@ impl World {
         world
     }
 
-    /// Returns the configuration that the world was created with.
-    pub fn config(&self) -> &EnvironmentConfig {
-        &self.config
-    }
-
     /// Begins the episode anew in an arrangement, with the goal and the drawn settings that it has. What follows depends
     /// only on these, the arrangement, and the actions.
     ///

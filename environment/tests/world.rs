@@ -6,10 +6,12 @@ use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::config::{RandomizationConfig, RewardConfig, SuccessConfig};
 use environment::reward::potential;
 use environment::success::is_success;
-use environment::{Arrangement, Env, EnvironmentConfig, Expert, StableSuccess, World, contract};
-use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use environment::{Arrangement, Env, EnvironmentConfig, Expert, World};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use proto::{Action, Joint, Pose, RewardTerms, Scene, Start, Status, Task, Valid};
+
+mod contract;
 
 fn task(blueprint: &Blueprint, start: Start, seed: u64) -> Task {
     Task { blueprint: blueprint.id().clone(), assignment: BlockIdx::array(|block| block), start, seed }
@@ -36,10 +38,7 @@ fn block(index: u8) -> BlockIdx {
 /// Returns the goal scene; unused blocks are far away.
 fn goal_scene(blueprint: &Blueprint) -> Scene {
     let pose = |block: BlockIdx| match blueprint.placement(block) {
-        Some(placement) => {
-            let q = placement.rotation.quaternion();
-            Pose { position: placement.position_m().into(), orientation: [q.i, q.j, q.k, q.w] }
-        }
+        Some(p) => Pose { position: p.position_m().into(), orientation: p.rotation.quaternion().coords.into() },
         None => Pose { position: [2.0, 0.3 * block.get() as f32 - 2.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] },
     };
     Scene {
@@ -53,10 +52,9 @@ fn moved(scene: &Scene, yaw: f32, x: f32, y: f32) -> Scene {
     let frame =
         Isometry3::from_parts(Translation3::new(x, y, 0.0), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw));
     let shift = |pose: &Pose| {
-        let [i, j, k, w] = pose.orientation;
-        let rotation = frame.rotation * UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+        let rotation = frame.rotation * UnitQuaternion::new_normalize(pose.orientation.into());
         let position = frame.rotation * Vector3::from(pose.position) + frame.translation.vector;
-        Pose { position: position.into(), orientation: [rotation.i, rotation.j, rotation.k, rotation.w] }
+        Pose { position: position.into(), orientation: rotation.coords.into() }
     };
     Scene { blocks: scene.blocks.each_ref().map(shift), ..scene.clone() }
 }
@@ -83,7 +81,7 @@ fn the_world_keeps_the_contract() {
                 c.episode_steps = 30;
             })
         };
-        contract::check_all(make, Catalog::builtin(), &RewardConfig::default(), 30);
+        contract::check_all(make, 30);
     }
 }
 
@@ -190,23 +188,6 @@ fn the_goal_pose_is_a_success_with_the_full_potential_for_every_blueprint() {
 }
 
 #[test]
-fn a_built_goal_stands_in_physics_for_every_blueprint() {
-    let config = Valid::default();
-    let mut world = World::new(&config);
-    for blueprint in Catalog::builtin().iter() {
-        let start = Start::Prebuilt(blueprint.id().clone());
-        world.reset(&task(blueprint, start, 1), Catalog::builtin()).unwrap();
-        let mut stable = StableSuccess::default();
-        let mut is_stable = false;
-        for _ in 0..10 {
-            assert_eq!(world.step(&Action::IDLE).status, Status::Success, "{}", blueprint.id());
-            is_stable = stable.observe(world.scene(), world.blueprint(), &config.success);
-        }
-        assert!(is_stable, "{} does not come to rest: {:?}", blueprint.id(), world.scene().speeds_mps);
-    }
-}
-
-#[test]
 fn a_near_goal_start_lacks_what_was_taken_off() {
     for blueprint in Catalog::builtin().iter() {
         let mut world = world(|_| ());
@@ -246,8 +227,7 @@ fn a_scattered_start_stays_as_it_is() {
 fn a_gripper_moves_its_block_at_the_commanded_speed_in_the_blocks_own_frame() {
     let mut world = scattered(|_| (), 4);
     let before = world.scene().blocks[0];
-    let [i, j, k, w] = before.orientation;
-    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+    let rotation = UnitQuaternion::new_normalize(before.orientation.into());
     // Straight up at half of 3 m/s, in the block's frame.
     let up = rotation.inverse() * Vector3::z() * 0.5;
     let mut action = Action::IDLE;

@@ -14,12 +14,13 @@ settings! {
     pub struct EvaluatorConfig in "evaluator" {
         /// Time between evaluations. Default: 10 minutes (paper, "Performance Evaluation").
         pub every: Every;
-        /// Whether `train` evaluates the last weights before it ends, regardless of [`Self::every`].
+        /// Whether the last weights are evaluated, regardless of [`Self::every`]: by `train` before it ends, and by an
+        /// evaluator on a bus once the learner is gone.
         pub evaluate_last: bool = false;
         /// Blueprints to evaluate. Default: the paper's splits.
         pub selection: Selection;
         /// Additional splits for the evaluation of the last weights, such as splits that must not influence training.
-        /// Only `train` with `evaluate_last` knows which weights are the last.
+        /// They need `evaluate_last`.
         pub last_splits: Vec<Split> = Vec::new(),
             where |c| are_distinct(&c.last_splits) => "names of splits, none twice";
         /// How episodes are run.

@@ -6,12 +6,9 @@ use environment::Step;
 use nalgebra::Vector3;
 use parking_lot::Mutex;
 use policy::proposals::Slot;
-use proto::{ActionMode, Observation, Scene};
-use serde::{Deserialize, Serialize};
+use proto::{Joint, Observation, Scene};
 
-use crate::connections::Connections;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
 
 /// Number of steps without movement after which an episode counts as still.
 const STILL_STEPS: usize = 20;
@@ -21,8 +18,7 @@ const STILL_M: f32 = 0.03;
 const STUCK_STEPS: u32 = 30;
 
 /// How an episode ended. Of several that apply, the first counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Ending {
     /// The goal was built.
     Built,
@@ -41,7 +37,7 @@ pub enum Ending {
 }
 
 /// How the episodes with goals of one size ended.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SizeEndings {
     /// Number of episodes by ending.
     pub endings: BTreeMap<Ending, u64>,
@@ -71,56 +67,72 @@ impl Endings {
     pub fn into_sizes(self) -> BTreeMap<(&'static str, usize), SizeEndings> {
         self.0.into_inner()
     }
+
+    /// Counts an episode that has ended.
+    pub(crate) fn count(&self, record: EndingRecord, result: &EpisodeResult) {
+        let ending = record.ending(result.end);
+        let mut sizes = self.0.lock();
+        let size = sizes.entry((result.acting.name(), result.n_blocks)).or_default();
+        *size.endings.entry(ending).or_default() += 1;
+        size.n_wrong += u64::from(record.n_wrong);
+        size.n_broken += u64::from(record.n_broken);
+        size.n_missing += u64::from(record.n_missing);
+        record.draws.into_iter().for_each(|(kind, n)| *size.draws.entry(kind).or_default() += n);
+    }
 }
 
 /// What is kept of a running episode.
-pub(crate) struct EpisodeRecord {
+pub(crate) struct EndingRecord {
     /// Positions of the goal's blocks in the last scenes, oldest first.
     recent: VecDeque<Vec<Vector3<f32>>>,
-    connections: Connections,
+    /// Correct connections in the newest scene.
+    n_right: u32,
+    /// Steps since their number last grew.
+    steps_since_gain: u32,
+    /// Wrong connections that formed.
+    n_wrong: u32,
+    /// Correct connections that broke.
+    n_broken: u32,
+    /// Wrong connections after the newest step.
+    n_wrong_left: u32,
+    /// Correct connections missing after the newest step.
+    n_missing: u32,
     draws: BTreeMap<String, u64>,
 }
 
-impl EpisodeObserver for Option<&Endings> {
-    type Record = EpisodeRecord;
-
-    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<EpisodeRecord> {
-        self.map(|_| EpisodeRecord {
+impl EndingRecord {
+    pub(crate) fn new(start: Observation<'_>) -> Self {
+        Self {
             recent: VecDeque::new(),
-            connections: Connections::new(start),
+            n_right: count(start.scene, |joint| joint.is_right(start.blueprint)),
+            steps_since_gain: 0,
+            n_wrong: 0,
+            n_broken: 0,
+            n_wrong_left: 0,
+            n_missing: 0,
             draws: BTreeMap::new(),
-        })
+        }
     }
 
-    fn observe(&self, record: &mut EpisodeRecord, step: Step, after: Observation<'_>) {
-        record.note(&step, after);
-    }
-
-    fn end(&self, record: EpisodeRecord, spec: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
-        let Some(endings) = self else { return };
-        let Connections { n_wrong, n_broken, n_missing, .. } = record.connections;
-        let found = SizeEndings {
-            endings: [(record.ending(result.end), 1)].into(),
-            n_wrong: n_wrong.into(),
-            n_broken: n_broken.into(),
-            n_missing: n_missing.into(),
-            draws: record.draws,
-        };
-        endings.0.lock().entry((result.acting.name(), spec.n_blocks)).or_default().add(found);
-    }
-}
-
-impl EpisodeRecord {
-    fn note(&mut self, step: &Step, after: Observation<'_>) {
-        self.connections.note(&step.scene, after);
+    /// Counts what a step to the observation `after` changed.
+    pub(crate) fn note(&mut self, step: &Step, after: Observation<'_>) {
+        let (before, Observation { scene, blueprint }) = (&step.scene, after);
+        let is_new = |joint: &Joint| !before.joints.contains(joint);
+        self.n_wrong += count(scene, |joint| is_new(joint) && !joint.is_right(blueprint));
+        self.n_broken += count(before, |joint| !scene.joints.contains(joint) && joint.is_right(blueprint));
+        let n_right = count(scene, |joint| joint.is_right(blueprint));
+        self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
+        self.n_right = n_right;
+        self.n_wrong_left = scene.joints.len() as u32 - n_right;
+        self.n_missing = blueprint.links().len() as u32 - n_right;
         for slot in step.decision.proposals.iter().flatten().filter_map(|&slot| Slot::from_index(slot)) {
             *self.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
         }
         if self.recent.len() > STILL_STEPS {
             self.recent.pop_front();
         }
-        let places = after.blueprint.placements().iter();
-        self.recent.push_back(places.map(|p| Vector3::from(after.scene.blocks[p.block.get()].position)).collect());
+        let places = blueprint.placements().iter();
+        self.recent.push_back(places.map(|p| Vector3::from(scene.blocks[p.block.get()].position)).collect());
     }
 
     fn ending(&self, end: End) -> Ending {
@@ -128,9 +140,9 @@ impl EpisodeRecord {
             End::Success { .. } => Ending::Built,
             End::Diverged => Ending::Diverged,
             End::TimeLimit if self.is_still() => Ending::Still,
-            End::TimeLimit if self.connections.n_wrong_left > 0 => Ending::Wrong,
-            End::TimeLimit if self.connections.n_missing == 0 => Ending::Misplaced,
-            End::TimeLimit if self.connections.steps_since_gain >= STUCK_STEPS => Ending::Stuck,
+            End::TimeLimit if self.n_wrong_left > 0 => Ending::Wrong,
+            End::TimeLimit if self.n_missing == 0 => Ending::Misplaced,
+            End::TimeLimit if self.steps_since_gain >= STUCK_STEPS => Ending::Stuck,
             End::TimeLimit => Ending::Time,
         }
     }
@@ -141,12 +153,6 @@ impl EpisodeRecord {
     }
 }
 
-impl SizeEndings {
-    fn add(&mut self, other: Self) {
-        other.endings.into_iter().for_each(|(ending, n)| *self.endings.entry(ending).or_default() += n);
-        other.draws.into_iter().for_each(|(kind, n)| *self.draws.entry(kind).or_default() += n);
-        self.n_wrong += other.n_wrong;
-        self.n_broken += other.n_broken;
-        self.n_missing += other.n_missing;
-    }
+fn count(scene: &Scene, wanted: impl Fn(&Joint) -> bool) -> u32 {
+    scene.joints.iter().filter(|joint| wanted(joint)).count() as u32
 }

@@ -1,14 +1,12 @@
 //! Evaluates a frozen policy on blueprints, with fixed episode seeds.
 
 use blueprints::Blueprint;
-use environment::ExpertAgent;
-use policy::{Policy, PolicyConfig};
+use policy::PolicyConfig;
 use proto::metrics::{EvalReport, EvalResetFree};
-use proto::{ActionMode, Agent, Valid, Weights};
+use proto::{ActionMode, Valid, Weights};
 
-use crate::config::{EpisodeConfig, ResetFreeConfig};
-use crate::endings::Endings;
-use crate::follower::{Both, Follower};
+use crate::config::ResetFreeConfig;
+use crate::follower::Follower;
 use crate::performance::Performer;
 use crate::pool::EvaluationPool;
 use crate::report::{EpisodeResult, summarize};
@@ -37,14 +35,13 @@ pub fn evaluate(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<EvalReport, EvalError> {
     let follower = Follower { keep_going, ..Follower::default() };
-    let report = evaluate_followed(setup, Performer::Policy(policy, weights), blueprints, &follower, None)?;
+    let report = evaluate_followed(setup, Performer::Policy(policy, weights), blueprints, &follower)?;
     if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
 }
 
 /// Like [`evaluate()`] for either agent, but calls `follower` for each episode, and returns a partial report when
-/// `keep_going` returns false. A partial report is marked incomplete and has no reset-free runs. Counts in `endings`, if
-/// given, how the episodes end, but not those of reset-free runs. The expert has one action mode, `greedy`, and no
-/// weights: its report has version 0.
+/// `keep_going` returns false. A partial report is marked incomplete and has no reset-free runs. The expert has one
+/// action mode, `greedy`, and no weights: its report has version 0.
 ///
 /// # Errors
 /// If the weights do not fit or an episode cannot be started.
@@ -53,59 +50,27 @@ pub fn evaluate_followed(
     performer: Performer<'_>,
     blueprints: &[&Blueprint],
     follower: &Follower<'_>,
-    endings: Option<&Endings>,
 ) -> Result<EvalReport, EvalError> {
-    match performer {
-        Performer::Expert => {
-            let episodes = EpisodeConfig { acting: vec![ActionMode::Greedy], ..setup.episodes.clone() };
-            let setup = EvalSetup { episodes, ..setup.clone() };
-            let agent = || Ok::<_, EvalError>(ExpertAgent::new(&setup.environment));
-            evaluate_agent(&setup, &agent, None, blueprints, follower, endings)
-        }
-        Performer::Policy(policy, weights) => {
-            let agent = || Policy::with_weights(policy, weights).map_err(EvalError::from);
-            evaluate_agent(setup, &agent, Some(weights), blueprints, follower, endings)
-        }
+    let mut setup = setup.clone();
+    if matches!(performer, Performer::Expert) {
+        setup.episodes.acting = vec![ActionMode::Greedy];
     }
+    let (observer, keep_going) = (Some(follower), follower.keep_going);
+    let pool = EvaluationPool { setup: &setup, performer, observer, progress: None, keep_going };
+    evaluate_in_parts(&pool, blueprints, &mut drop)
 }
 
-fn evaluate_agent<A: Agent>(
-    setup: &EvalSetup<'_>,
-    agent: &(dyn Fn() -> Result<A, EvalError> + Sync),
-    weights: Option<&Weights>,
-    blueprints: &[&Blueprint],
-    follower: &Follower<'_>,
-    endings: Option<&Endings>,
-) -> Result<EvalReport, EvalError>
-where
-    EvalError: From<A::Error>,
-{
-    let observer = Both(&endings, follower);
-    let keep_going = follower.keep_going;
-    let pool = EvaluationPool { setup, agent, observer: Some(&observer), progress: None, keep_going };
-    let mut last_part = None;
-    match evaluate_in_parts(&pool, weights, blueprints, &mut |part| last_part = Some(part)) {
-        Err(EvalError::Interrupted) => last_part.ok_or(EvalError::Interrupted),
-        ended => ended,
-    }
-}
-
-/// Like [`evaluate`] with the agents of the pool, which act with `weights`, if they have any. Reports intermediate results
-/// to `on_part`: of the first [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all
-/// blueprints, so its groups are fair samples of the whole. If the pool is interrupted, the last part covers all
-/// episodes that have ended.
+/// Like [`evaluate_followed`] for the pool's performer. Reports intermediate results to `on_part`: of the first
+/// [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all blueprints, so its groups are
+/// fair samples of the whole.
 ///
 /// # Errors
-/// As for [`evaluate`].
-pub(crate) fn evaluate_in_parts<A: Agent, O: EpisodeObserver>(
-    pool: &EvaluationPool<'_, A, O>,
-    weights: Option<&Weights>,
+/// As for [`evaluate_followed`].
+pub(crate) fn evaluate_in_parts<O: EpisodeObserver>(
+    pool: &EvaluationPool<'_, O>,
     blueprints: &[&Blueprint],
     on_part: &mut dyn FnMut(EvalReport),
-) -> Result<EvalReport, EvalError>
-where
-    EvalError: From<A::Error>,
-{
+) -> Result<EvalReport, EvalError> {
     let setup = pool.setup;
     let n_episodes = u64::from(setup.episodes.n_episodes);
     let (catalog, starts) = (setup.catalog, setup.episodes.starts);
@@ -115,8 +80,11 @@ where
     let sequences: Vec<Vec<EpisodeSpec>> = (0..n_episodes)
         .flat_map(|episode_idx| spread.iter().map(move |&blueprint| sequence(blueprint, episode_idx)))
         .collect();
+    let (version, n_env_steps) = match pool.performer {
+        Performer::Expert => Default::default(),
+        Performer::Policy(_, weights) => (weights.version, weights.n_env_steps),
+    };
     let report = |episodes: &[EpisodeResult], is_complete| {
-        let (version, n_env_steps) = weights.map_or_else(Default::default, |w| (w.version, w.n_env_steps));
         let mut report = summarize(version, n_env_steps, episodes);
         report.summary.seed = setup.seed;
         report.summary.n_planned = sequences.len() as u64;
@@ -140,15 +108,14 @@ where
                 on_part(report(&episodes, false));
             }
         }
-        let runs = |config| reset_free::evaluate(pool, config, &setup.episodes.acting);
-        setup.reset_free.as_ref().map(runs).transpose()
+        setup.reset_free.as_ref().map(|config| reset_free::evaluate(pool, config)).transpose()
     };
-    let ended = run_all();
-    if let Err(EvalError::Interrupted) = ended {
-        on_part(report(&episodes, false));
-    }
+    let reset_free = match run_all() {
+        Err(EvalError::Interrupted) => return Ok(report(&episodes, false)),
+        ended => ended?,
+    };
     let mut report = report(&episodes, true);
-    report.summary.reset_free = ended?;
+    report.summary.reset_free = reset_free;
     Ok(report)
 }
 

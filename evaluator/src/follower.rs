@@ -1,71 +1,46 @@
-//! Callbacks that follow an evaluation and can interrupt it.
+//! What follows an evaluation: callbacks, one of which can interrupt it, and a count of endings.
 
 use environment::Step;
 use proto::{ActionMode, Observation, Scene};
 
+use crate::endings::{EndingRecord, Endings};
 use crate::report::EpisodeResult;
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+use crate::sequences::{EpisodeObserver, EpisodeSpec};
 
-/// Callbacks of an evaluation. Both are called by the threads that run episodes.
+/// What follows an evaluation. Both callbacks are called by the threads that run episodes.
 pub struct Follower<'a> {
     /// Called at every step; returning false interrupts the evaluation.
     pub keep_going: &'a (dyn Fn() -> bool + Sync),
     /// Called with the result of each episode when it ends, except in reset-free runs.
     pub on_episode: &'a (dyn Fn(&EpisodeResult) + Sync),
+    /// Counts how the episodes end, except in reset-free runs.
+    pub endings: Option<&'a Endings>,
 }
 
 impl Default for Follower<'_> {
     /// Never interrupts, and ignores the results.
     fn default() -> Self {
-        Self { keep_going: &|| true, on_episode: &|_| {} }
+        Self { keep_going: &|| true, on_episode: &|_| {}, endings: None }
     }
 }
 
 impl EpisodeObserver for Follower<'_> {
-    type Record = ();
+    type Record = Option<EndingRecord>;
 
-    fn begin(&self, _: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<()> {
-        Some(())
+    fn begin(&self, _: usize, _: &EpisodeSpec, _: ActionMode, start: Observation<'_>) -> Option<Self::Record> {
+        Some(self.endings.map(|_| EndingRecord::new(start)))
     }
 
-    fn observe(&self, (): &mut (), _: Step, _: Observation<'_>) {}
+    fn observe(&self, record: &mut Self::Record, step: Step, after: Observation<'_>) {
+        if let Some(record) = record {
+            record.note(&step, after);
+        }
+    }
 
-    fn end(&self, (): (), _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
+    fn end(&self, record: Self::Record, _: &EpisodeSpec, _: &Scene, result: &EpisodeResult) {
+        if let (Some(endings), Some(record)) = (self.endings, record) {
+            endings.count(record, result);
+        }
         (self.on_episode)(result);
-    }
-}
-
-/// Forwards episodes to two observers.
-pub(crate) struct Both<'a, X, Y>(pub(crate) &'a X, pub(crate) &'a Y);
-
-impl<X: EpisodeObserver, Y: EpisodeObserver> EpisodeObserver for Both<'_, X, Y> {
-    type Record = (Option<X::Record>, Option<Y::Record>);
-
-    fn begin(
-        &self,
-        place: Place,
-        spec: &EpisodeSpec,
-        acting: ActionMode,
-        start: Observation<'_>,
-    ) -> Option<Self::Record> {
-        Some((self.0.begin(place, spec, acting, start), self.1.begin(place, spec, acting, start)))
-    }
-
-    fn observe(&self, (x, y): &mut Self::Record, step: Step, after: Observation<'_>) {
-        if let Some(x) = x {
-            self.0.observe(x, step.clone(), after);
-        }
-        if let Some(y) = y {
-            self.1.observe(y, step, after);
-        }
-    }
-
-    fn end(&self, (x, y): Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
-        if let Some(x) = x {
-            self.0.end(x, spec, last, result);
-        }
-        if let Some(y) = y {
-            self.1.end(y, spec, last, result);
-        }
     }
 }

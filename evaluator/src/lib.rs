@@ -2,16 +2,14 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
-//! [`episodes`] and `reset_free` (what is run) → `follower` (callbacks), `connections` and [`endings`] (how episodes
-//! end) → [`table`] (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the
-//! bus). `videos` records videos in every evaluation, [`perform`] plays one episode for display, and [`record()`] records
-//! many.
+//! [`episodes`] and `reset_free` (what is run) → `follower` (callbacks) and [`endings`] (how episodes end) → [`table`]
+//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). `videos`
+//! records videos in every evaluation, [`perform`] plays one episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod best;
 pub mod config;
-mod connections;
 pub mod endings;
 pub mod episodes;
 mod follower;
@@ -29,7 +27,6 @@ mod sequences;
 pub mod setup;
 pub mod table;
 pub mod trials;
-mod validation;
 mod videos;
 
 pub use best::{Scored, Verdict};
@@ -43,7 +40,7 @@ pub use follower::Follower;
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use pool::EvaluationProgress;
-pub use record::{Callbacks, Recorded, record};
-pub use run::{Listeners, Stop, Summary, run};
+pub use record::record;
+pub use run::{Listeners, Stop, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
 pub use table::{Detail, render, render_endings};

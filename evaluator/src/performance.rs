@@ -3,12 +3,12 @@
 use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, ExpertAgent, World};
 use parking_lot::Mutex;
-use policy::{Policy, PolicyConfig};
-use proto::{ActionMode, Agent, Disturbance, Start, Trajectory, Valid, Weights};
+use policy::{Policy, PolicyConfig, PolicyError};
+use proto::{ActionMode, Disturbance, Start, Trajectory, Valid, Weights};
 
 use crate::recording::{Credits, Recorder};
 use crate::report::EpisodeResult;
-use crate::sequences::{EpisodeSpec, Rules, run_sequences};
+use crate::sequences::{EpisodeSpec, PerformerAgent, Rules, run_sequences};
 use crate::setup::EvalError;
 
 /// The agent that acts in an episode.
@@ -38,7 +38,7 @@ pub struct Performance<'p> {
 }
 
 /// Plays the goals of `before`, then the episode, to its end. Equal arguments give an equal episode. Returns the
-/// episode, whose actor is `expert` or `policy`, or `None` if it has no steps. `keep_going` is called at every step.
+/// episode, whose actor is `expert` or `policy`. `keep_going` is called at every step.
 ///
 /// # Errors
 /// If the weights do not fit, the episode cannot be started, or `keep_going` returns false.
@@ -46,34 +46,17 @@ pub fn perform(
     performance: Performance<'_>,
     performer: Performer<'_>,
     keep_going: &(dyn Fn() -> bool + Sync),
-) -> Result<Option<Trajectory>, EvalError> {
-    let credits = performer.credits(performance.acting);
-    match performer {
-        Performer::Expert => run(performance, ExpertAgent::new(performance.environment), credits, keep_going),
-        Performer::Policy(config, weights) => {
-            run(performance, Policy::with_weights(config, weights)?, credits, keep_going)
-        }
-    }
-}
-
-fn run<A: Agent>(
-    performance: Performance<'_>,
-    mut agent: A,
-    credits: Credits,
-    keep_going: &(dyn Fn() -> bool + Sync),
-) -> Result<Option<Trajectory>, EvalError>
-where
-    EvalError: From<A::Error>,
-{
+) -> Result<Trajectory, EvalError> {
     let Performance { environment, blueprint, before, acting, seed, disturbances } = performance;
+    let mut agent = performer.agent(environment)?;
     let mut catalog = Catalog::of_one(blueprint.clone());
     for other in before.iter().filter(|other| other.id() != blueprint.id()) {
         catalog = catalog.with(&Catalog::of_one(other.clone()));
     }
     // Of all episodes, the last one stays.
     let seen = Mutex::new(None);
-    let keep = |_: usize, episode: Option<Trajectory>, _: &EpisodeResult| *seen.lock() = episode;
-    let observer = Recorder { credits, keep: &keep };
+    let keep = |_: usize, episode: Trajectory, _: &EpisodeResult| *seen.lock() = Some(episode);
+    let observer = Recorder { credits: performer.credits(acting), keep: &keep };
     let rules =
         Rules { catalog: &catalog, acting, success: &environment.success, keep_going, observer: Some(&observer) };
     let goals = before.iter().chain([blueprint]).zip(0..);
@@ -87,13 +70,14 @@ where
     let mut world = World::new(environment);
     world.disturb(before.len(), disturbances);
     run_sequences(&rules, &mut agent, vec![world], || sequences.next(), |_, _| {})?;
-    let mut seen = seen.into_inner();
+    let mut episode = seen.into_inner().expect("every episode has ended");
     for (step, disturbance) in disturbances {
         // The episode may have ended before.
-        let step = seen.as_mut().and_then(|episode| episode.transitions.get_mut(usize::from(*step)));
-        step.into_iter().for_each(|step| step.disturbance = Some(*disturbance));
+        if let Some(step) = episode.transitions.get_mut(usize::from(*step)) {
+            step.disturbance = Some(*disturbance);
+        }
     }
-    Ok(seen)
+    Ok(episode)
 }
 
 impl Performer<'_> {
@@ -103,6 +87,17 @@ impl Performer<'_> {
             Self::Expert => Credits::of_expert(),
             Self::Policy(_, weights) => Credits::of_policy("policy", acting, weights.version),
         }
+    }
+
+    /// Creates the agent that acts in worlds of this configuration.
+    ///
+    /// # Errors
+    /// If the weights do not fit.
+    pub(crate) fn agent(self, environment: &EnvironmentConfig) -> Result<PerformerAgent, PolicyError> {
+        Ok(match self {
+            Self::Expert => PerformerAgent::Expert(ExpertAgent::new(environment)),
+            Self::Policy(config, weights) => PerformerAgent::Policy(Box::new(Policy::with_weights(config, weights)?)),
+        })
     }
 }
 
@@ -120,30 +115,21 @@ mod tests {
     }
 
     #[test]
-    fn the_expert_builds_two_blocks_and_equal_seeds_give_equal_episodes() {
-        let environment = Valid::default();
-        let play =
-            |seed| perform(calm(&environment, goal("2_000"), seed), Performer::Expert, &|| true).unwrap().unwrap();
-        let first = play(1);
-        assert_eq!((first.status, first.actor.as_str()), (Status::Success, "expert"));
-        assert_eq!(first, play(1));
-        assert_ne!(first.transitions[0].scene, play(2).transitions[0].scene);
-    }
-
-    #[test]
-    fn a_goal_can_begin_with_what_is_left_of_those_before() {
+    fn equal_seeds_give_equal_episodes_and_a_goal_can_begin_with_what_is_left_of_those_before() {
         let environment = Valid::default();
         let goals = ["2_000", "2_001"].map(|id| goal(id).clone());
-        let play = |blueprint, before| {
-            let performance = Performance { before, ..calm(&environment, blueprint, 1) };
-            perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
+        let play = |blueprint, before, seed| {
+            let performance = Performance { before, ..calm(&environment, blueprint, seed) };
+            perform(performance, Performer::Expert, &|| true).unwrap()
         };
-        let alone = play(&goals[0], &[]);
-        let second = play(&goals[1], &goals[..1]);
+        let alone = play(&goals[0], &[], 1);
+        assert_eq!((alone.status, alone.actor.as_str()), (Status::Success, "expert"));
+        assert_ne!(alone.transitions[0].scene, play(&goals[0], &[], 2).transitions[0].scene);
+        let second = play(&goals[1], &goals[..1], 1);
         assert_eq!((second.status, &second.task.blueprint), (Status::Success, goals[1].id()));
         assert_eq!((&second.task.start, second.transitions[0].scene.joints.len()), (&Start::AsItIs, 1));
         assert!(alone.transitions[0].scene.joints.is_empty());
-        assert_eq!(second, play(&goals[1], &goals[..1]));
+        assert_eq!(second, play(&goals[1], &goals[..1], 1));
     }
 
     #[test]
@@ -152,7 +138,7 @@ mod tests {
         let goals = ["3_000", "2_000"].map(|id| goal(id).clone());
         let play = |before, disturbances| {
             let performance = Performance { before, disturbances, ..calm(&environment, &goals[0], 1) };
-            perform(performance, Performer::Expert, &|| true).unwrap().unwrap()
+            perform(performance, Performer::Expert, &|| true).unwrap()
         };
         let quiet = play(&[], &[]);
         let joined = |episode: &Trajectory, step: usize| episode.transitions[step].scene.joints.len();

@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use environment::World;
-use proto::{ActionMode, Agent};
+use proto::ActionMode;
 use tokio::sync::watch;
 
-use crate::report::EpisodeResult;
+use crate::performance::Performer;
+use crate::report::{End, EpisodeResult};
 use crate::sequences::{EpisodeObserver, EpisodeSpec, Rules, run_sequences};
 use crate::setup::{EvalError, EvalSetup};
 
@@ -15,24 +16,30 @@ use crate::setup::{EvalError, EvalSetup};
 pub struct EvaluationProgress {
     /// Episodes that have ended, in all action modes and including reset-free runs.
     pub n_ended: u64,
+    /// Those of them that succeeded.
+    pub n_successes: u64,
     /// Total number of episodes; 0 while there is nothing to evaluate.
     pub n_planned: u64,
 }
 
+impl EvaluationProgress {
+    /// Counts an episode that has ended.
+    pub fn count(&mut self, episode: &EpisodeResult) {
+        self.n_ended += 1;
+        self.n_successes += u64::from(matches!(episode.end, End::Success { .. }));
+    }
+}
+
 /// Runs sequences on threads.
-pub(crate) struct EvaluationPool<'a, A, O> {
+pub(crate) struct EvaluationPool<'a, O> {
     pub(crate) setup: &'a EvalSetup<'a>,
-    /// Creates the agent of a thread.
-    pub(crate) agent: &'a (dyn Fn() -> Result<A, EvalError> + Sync),
+    pub(crate) performer: Performer<'a>,
     pub(crate) observer: Option<&'a O>,
     pub(crate) progress: Option<&'a watch::Sender<EvaluationProgress>>,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl<A: Agent, O: EpisodeObserver> EvaluationPool<'_, A, O>
-where
-    EvalError: From<A::Error>,
-{
+impl<O: EpisodeObserver> EvaluationPool<'_, O> {
     pub(crate) fn plan(&self, n_episodes: u64) {
         self.change_progress(|progress| progress.n_planned = n_episodes);
     }
@@ -75,7 +82,7 @@ where
         completed: &mut Vec<(usize, Vec<EpisodeResult>)>,
     ) -> Result<(), EvalError> {
         let _closing = CloseOnDrop(queue);
-        let mut agent = (self.agent)()?;
+        let mut agent = self.performer.agent(&self.setup.environment)?;
         let rules = Rules {
             catalog: self.setup.catalog,
             acting,
@@ -85,7 +92,7 @@ where
         };
         let worlds = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
         let done = |sequence_idx, results: Vec<EpisodeResult>| {
-            self.change_progress(|progress| progress.n_ended += results.len() as u64);
+            self.change_progress(|progress| results.iter().for_each(|result| progress.count(result)));
             completed.push((sequence_idx, results));
         };
         run_sequences(&rules, &mut agent, worlds, || queue.take(), done)
@@ -136,7 +143,7 @@ mod tests {
 
     use super::*;
     use crate::config::EpisodeConfig;
-    use crate::episodes::tests::{agent, small_setup};
+    use crate::episodes::tests::{performer, small_setup};
     use crate::videos::EpisodeSelector;
 
     /// Sequences of one or two episodes, of different goals.
@@ -169,7 +176,7 @@ mod tests {
         let progress = watch::Sender::default();
         let pool = EvaluationPool {
             setup: &setup,
-            agent: &agent,
+            performer: performer(),
             observer: None::<&EpisodeSelector>,
             progress: Some(&progress),
             keep_going: &|| true,
@@ -181,24 +188,8 @@ mod tests {
         let goals: Vec<Vec<_>> = sequences.iter().map(goals).collect();
         let reached = |results: &Vec<EpisodeResult>| results.iter().map(|result| result.blueprint.clone()).collect();
         assert_eq!(results.iter().map(reached).collect::<Vec<Vec<_>>>(), goals);
-        assert_eq!(*progress.borrow(), EvaluationProgress { n_ended: 18, n_planned: 30 });
-    }
-
-    #[test]
-    fn an_interrupted_pool_returns_the_completed_sequences() {
-        let setup = EvalSetup { n_worlds: 1, ..small_setup(EpisodeConfig { n_threads: 1, ..Default::default() }) };
-        let sequences = sequences(5);
-        let progress = watch::Sender::<EvaluationProgress>::default();
-        let pool = EvaluationPool {
-            setup: &setup,
-            agent: &agent,
-            observer: None::<&EpisodeSelector>,
-            progress: Some(&progress),
-            // The second sequence, of two episodes, is the last one.
-            keep_going: &|| progress.borrow().n_ended < 3,
-        };
-        let (results, ended) = pool.run(&sequences, ActionMode::Greedy);
-        assert!(matches!(ended, Err(EvalError::Interrupted)));
-        assert_eq!(results.iter().map(Vec::len).collect::<Vec<_>>(), [1, 2]);
+        let n_successes = results.iter().flatten().filter(|result| matches!(result.end, End::Success { .. })).count();
+        let expected = EvaluationProgress { n_ended: 18, n_successes: n_successes as u64, n_planned: 30 };
+        assert_eq!(*progress.borrow(), expected);
     }
 }

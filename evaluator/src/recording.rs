@@ -7,7 +7,7 @@ use proto::{
 };
 
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+use crate::sequences::{EpisodeObserver, EpisodeSpec};
 
 /// Who acts in a recording.
 #[derive(Clone, Debug)]
@@ -52,14 +52,13 @@ impl Recording {
     }
 
     /// Returns the episode as a trajectory, without log-probabilities, because it is not used for learning.
-    /// Returns `None` if the episode has no steps.
     pub(crate) fn into_trajectory(
         self,
         credits: Credits,
         task: &Task,
         last: &Scene,
         result: &EpisodeResult,
-    ) -> Option<Trajectory> {
+    ) -> Trajectory {
         let Credits { actor, behavior_policy, weights_version } = credits;
         let status = match result.end {
             End::Success { .. } => Status::Success,
@@ -69,10 +68,10 @@ impl Recording {
         };
         let stats = EpisodeStats {
             success: status == Status::Success,
-            n_steps: u16::try_from(result.n_steps).ok()?,
+            n_steps: u16::try_from(result.n_steps).expect("the time limit has 16 bits"),
             episode_return: result.episode_return,
         };
-        (!self.transitions.is_empty()).then(|| Trajectory {
+        Trajectory {
             actor,
             epoch: 0,
             seq: 0,
@@ -85,22 +84,22 @@ impl Recording {
             last_scene: last.clone(),
             status,
             episode_stats: (status != Status::Running).then_some(stats),
-        })
+        }
     }
 }
 
 /// Records every episode.
 pub(crate) struct Recorder<'r> {
     pub(crate) credits: Credits,
-    /// Gets each episode with the index of its sequence and its result; `None` for one without steps.
-    pub(crate) keep: &'r (dyn Fn(usize, Option<Trajectory>, &EpisodeResult) + Sync),
+    /// Gets each episode with the index of its sequence and its result.
+    pub(crate) keep: &'r (dyn Fn(usize, Trajectory, &EpisodeResult) + Sync),
 }
 
 impl EpisodeObserver for Recorder<'_> {
     type Record = (usize, Recording);
 
-    fn begin(&self, place: Place, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Self::Record> {
-        Some((place.sequence_idx, Recording::default()))
+    fn begin(&self, sequence_idx: usize, _: &EpisodeSpec, _: ActionMode, _: Observation<'_>) -> Option<Self::Record> {
+        Some((sequence_idx, Recording::default()))
     }
 
     fn observe(&self, (_, recording): &mut Self::Record, step: Step, _: Observation<'_>) {

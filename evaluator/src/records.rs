@@ -2,8 +2,9 @@
 
 use std::collections::VecDeque;
 
-use proto::metrics::{EvalOutcome, EvalReport};
+use proto::metrics::EvalReport;
 use proto::{ActionMode, Role, keys};
+use runlog::series::outcome_of;
 use runlog::{Evaluation, History, HistoryError, Lines, MetricsWriter, RunPaths, WriteError};
 
 /// The open record files. Writing can fail for a while, because the disk is full or because another program reads the
@@ -90,23 +91,20 @@ fn lines(report: &EvalReport) -> anyhow::Result<Lines> {
 /// Returns the TensorBoard scalars: success (0 to 1) and steps to success per group, and success (0 to 1) per
 /// blueprint.
 fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
-    let was_evaluated = |outcome: &EvalOutcome| outcome.success.n_episodes > 0;
     let mut scalars = Vec::new();
     for group in [&report.summary.all].into_iter().chain(&report.summary.groups) {
         for (acting, outcome) in [(ActionMode::Greedy, &group.greedy), (ActionMode::Sampled, &group.sampled)] {
-            let acting = acting.name();
             let group = group.name.replace(' ', "-");
-            if was_evaluated(outcome) {
+            if outcome.success.n_episodes > 0 {
                 scalars.push((format!("success-{acting}/{group}"), outcome.success.rate));
             }
             scalars.extend(outcome.mean_steps_to_success.map(|n| (format!("steps-to-success-{acting}/{group}"), n)));
         }
     }
     for score in &report.blueprints {
-        for (acting, outcome) in [(ActionMode::Greedy, &score.greedy), (ActionMode::Sampled, &score.sampled)] {
-            if was_evaluated(outcome) {
-                scalars.push((format!("{}-{}/{}", score.split, acting.name(), score.blueprint), outcome.success.rate));
-            }
+        for acting in [ActionMode::Greedy, ActionMode::Sampled] {
+            let tag = format!("{}-{acting}/{}", score.split, score.blueprint);
+            scalars.extend(outcome_of(score, acting).map(|outcome| (tag, outcome.success.rate)));
         }
     }
     scalars
@@ -141,10 +139,8 @@ mod tests {
         std::fs::remove_dir(&journal).unwrap();
         records.catch_up().unwrap();
         drop(records);
-        let versions = |evaluations: Vec<Evaluation>| {
-            evaluations.iter().map(|evaluation| evaluation.n_env_steps).collect::<Vec<_>>()
-        };
-        assert_eq!(versions(History::read(&paths.history()).unwrap()), [100, 200, 300]);
+        let rows = History::read(&paths.history()).unwrap();
+        assert_eq!(rows.iter().map(|row| row.n_env_steps).collect::<Vec<_>>(), [100, 200, 300]);
         let n_lines = || std::fs::read_to_string(paths.metrics()).unwrap().lines().count();
         assert_eq!(n_lines(), 6, "a summary and a blueprint for each evaluation");
 

@@ -1,6 +1,6 @@
 //! Summarizes finished episodes per blueprint and group.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use blueprints::{BlueprintId, Group, Split};
 use proto::metrics::{
@@ -46,7 +46,7 @@ pub struct EpisodeResult {
 
 /// Groups the episodes of weights trained on `n_env_steps` by blueprint and group. The report is marked complete.
 /// Fields that do not follow from the episodes stay 0: the seed, the plan, the duration, and all counts.
-pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[EpisodeResult]) -> EvalReport {
+pub(crate) fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[EpisodeResult]) -> EvalReport {
     let mut by_blueprint: BTreeMap<(Split, usize, &BlueprintId), Vec<&EpisodeResult>> = BTreeMap::new();
     let mut by_group: BTreeMap<Group, Vec<&EpisodeResult>> = BTreeMap::new();
     for episode in episodes {
@@ -56,17 +56,16 @@ pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[
             by_group.entry(group).or_default().push(episode);
         }
     }
-    let blueprint =
-        |((split, n_blocks, id), episodes): ((Split, usize, &BlueprintId), Vec<&EpisodeResult>)| EvalBlueprint {
-            schema_version: METRICS_SCHEMA_VERSION,
-            weights_version,
-            n_env_steps,
-            blueprint: id.clone(),
-            split,
-            n_blocks: n_blocks as u64,
-            sampled: outcome(&episodes, ActionMode::Sampled),
-            greedy: outcome(&episodes, ActionMode::Greedy),
-        };
+    let blueprints = by_blueprint.into_iter().map(|((split, n_blocks, id), episodes)| EvalBlueprint {
+        schema_version: METRICS_SCHEMA_VERSION,
+        weights_version,
+        n_env_steps,
+        blueprint: id.clone(),
+        split,
+        n_blocks: n_blocks as u64,
+        sampled: outcome(&episodes, ActionMode::Sampled),
+        greedy: outcome(&episodes, ActionMode::Greedy),
+    });
     let summary = EvalSummary {
         schema_version: METRICS_SCHEMA_VERSION,
         weights_version,
@@ -81,11 +80,11 @@ pub fn summarize(weights_version: WeightsVersion, n_env_steps: u64, episodes: &[
         bus: BusCounts::default(),
         videos: None,
     };
-    EvalReport { summary, blueprints: by_blueprint.into_iter().map(blueprint).collect() }
+    EvalReport { summary, blueprints: blueprints.collect() }
 }
 
 /// Returns success, steps, and return of the episodes with the action mode `acting`.
-pub fn outcome(episodes: &[&EpisodeResult], acting: ActionMode) -> EvalOutcome {
+pub(crate) fn outcome(episodes: &[&EpisodeResult], acting: ActionMode) -> EvalOutcome {
     let (mut n_episodes, mut n_successes, mut n_stable, mut n_diverged) = (0_u64, 0_u64, 0_u64, 0_u64);
     let (mut n_steps, mut n_steps_to_success) = (0_u64, 0_u64);
     let mut sum = [0.0_f64; 5];
@@ -101,25 +100,21 @@ pub fn outcome(episodes: &[&EpisodeResult], acting: ActionMode) -> EvalOutcome {
             End::TimeLimit => {}
             End::Diverged => n_diverged += 1,
         }
-        let RewardTerms { connected, wrong, magnets, blocks, force } = episode.episode_return;
-        sum.iter_mut().zip([connected, wrong, magnets, blocks, force]).for_each(|(s, x)| *s += f64::from(x));
+        sum.iter_mut().zip(episode.episode_return.to_array()).for_each(|(s, x)| *s += f64::from(x));
     }
     let n = n_episodes.max(1) as f64;
-    let [connected, wrong, magnets, blocks, force] = sum.map(|s| (s / n) as f32);
     EvalOutcome {
         success: SuccessRate::new(n_successes, n_episodes),
         stable_success: SuccessRate::new(n_stable, n_episodes),
         mean_steps: n_steps as f64 / n,
         mean_steps_to_success: (n_successes > 0).then(|| n_steps_to_success as f64 / n_successes as f64),
-        mean_return: RewardTerms { connected, wrong, magnets, blocks, force },
+        mean_return: RewardTerms::from_array(sum.map(|s| (s / n) as f32)),
         n_diverged,
     }
 }
 
 fn score_group(name: &str, episodes: &[&EpisodeResult]) -> EvalGroup {
-    let mut ids: Vec<&BlueprintId> = episodes.iter().map(|episode| &episode.blueprint).collect();
-    ids.sort();
-    ids.dedup();
+    let ids: BTreeSet<&BlueprintId> = episodes.iter().map(|episode| &episode.blueprint).collect();
     EvalGroup {
         name: name.to_owned(),
         n_blueprints: ids.len() as u64,

@@ -1,8 +1,8 @@
 //! Several goals in a row in a world that is never reset (paper, section "Reset-Free Evaluation").
 
-use blueprints::{Blueprint, Catalog, Split};
+use blueprints::{Blueprint, Split};
 use proto::metrics::{EvalResetFree, EvalRuns};
-use proto::{ActionMode, Agent, Start};
+use proto::{ActionMode, Start};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -20,19 +20,20 @@ use crate::setup::EvalError;
 ///
 /// # Errors
 /// If the agent fails, no blueprint is large enough, or the pool is interrupted.
-pub(crate) fn evaluate<A: Agent, O: EpisodeObserver>(
-    pool: &EvaluationPool<'_, A, O>,
+pub(crate) fn evaluate<O: EpisodeObserver>(
+    pool: &EvaluationPool<'_, O>,
     config: &ResetFreeConfig,
-    modes: &[ActionMode],
-) -> Result<EvalResetFree, EvalError>
-where
-    EvalError: From<A::Error>,
-{
+) -> Result<EvalResetFree, EvalError> {
     let pool = EvaluationPool { observer: None, ..*pool };
-    let sequences = sequences(pool.setup.catalog, config, pool.setup.seed)?;
+    let mut goals = pool.setup.catalog.of_split(Split::Train);
+    goals.retain(|blueprint| blueprint.n_blocks() >= MIN_BLOCKS);
+    if goals.is_empty() {
+        return Err(EvalError::NoGoals);
+    }
+    let sequences = plan_runs(&goals, config, pool.setup.seed);
     let (n_runs, n_goals) = (u64::from(config.n_runs), u64::from(config.n_goals));
     let mut found = EvalResetFree { n_runs, n_goals, ..EvalResetFree::default() };
-    for &acting in modes {
+    for &acting in &pool.setup.episodes.acting {
         let (runs, ended) = pool.run(&sequences, acting);
         ended?;
         let runs = count(&runs, acting);
@@ -45,18 +46,6 @@ where
 }
 
 /// Returns one sequence per run.
-///
-/// # Errors
-/// If no training blueprint is large enough.
-fn sequences(catalog: &Catalog, config: &ResetFreeConfig, seed: u64) -> Result<Vec<Vec<EpisodeSpec>>, EvalError> {
-    let mut goals = catalog.of_split(Split::Train);
-    goals.retain(|blueprint| blueprint.n_blocks() >= MIN_BLOCKS);
-    if goals.is_empty() {
-        return Err(EvalError::NoGoals);
-    }
-    Ok(plan_runs(&goals, config, seed))
-}
-
 fn plan_runs(goals: &[&Blueprint], config: &ResetFreeConfig, seed: u64) -> Vec<Vec<EpisodeSpec>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut plan = Vec::new();
@@ -102,6 +91,8 @@ fn count(runs: &[Vec<EpisodeResult>], acting: ActionMode) -> EvalRuns {
 
 #[cfg(test)]
 mod tests {
+    use blueprints::Catalog;
+
     use super::*;
     use crate::report::tests::episode;
 

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Catalog};
-use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse};
+use blueprints::{Blueprint, BlueprintId};
+use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse, unix_ms};
 use policy::Policy;
 use proto::metrics::{EvalBlueprint, EvalReport};
-use proto::{Role, Weights, WeightsVersion, keys};
+use proto::{Role, Weights, keys};
 use runlog::overview::Evaluations;
 use runlog::series::outcome_of;
 use runlog::{Evaluation, History, RunPaths};
@@ -20,11 +20,11 @@ use crate::best::{Scored, Verdict};
 use crate::config::{EpisodeConfig, EvaluatorConfigError, Selection};
 use crate::episodes::evaluate_in_parts;
 use crate::nice::on_thread;
+use crate::performance::Performer;
 use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::records::Records;
-use crate::schedule::{Due, LastEvaluation, due};
+use crate::schedule::{Due, Evaluated, due};
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
-use crate::validation::validated;
 use crate::videos::{EpisodeSelector, VideoRecorder};
 
 /// How long an evaluator waits for another one with its name to disconnect: a killed process still appears alive for up
@@ -32,25 +32,31 @@ use crate::videos::{EpisodeSelector, VideoRecorder};
 const NAME_PATIENCE: Duration = Duration::from_secs(15);
 
 /// Channels to other parts of this process. Closed receivers are ignored.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Listeners {
     /// The newest report. If an evaluation is interrupted, an incomplete report of the episodes so far.
-    pub reports: Option<watch::Sender<Option<Arc<EvalReport>>>>,
+    pub reports: watch::Sender<Option<Arc<EvalReport>>>,
     /// Every evaluation: first those in the history, then each new one as it ends.
-    pub evaluations: Option<mpsc::UnboundedSender<Evaluation>>,
+    pub evaluations: mpsc::UnboundedSender<Evaluation>,
     /// Progress of the current evaluation; `None` between evaluations.
-    pub progress: Option<watch::Sender<Option<EvaluationProgress>>>,
+    pub progress: watch::Sender<Option<EvaluationProgress>>,
     /// The weights of every complete evaluation with the verdict on them.
-    pub evaluated: Option<mpsc::UnboundedSender<Scored>>,
+    pub evaluated: mpsc::UnboundedSender<Scored>,
     /// The newest weights with which a policy can act.
-    pub weights: Option<watch::Sender<Option<Arc<Weights>>>>,
+    pub weights: watch::Sender<Option<Arc<Weights>>>,
 }
 
-/// Summary of an evaluator's work, returned when it ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Summary {
-    /// Completed evaluations.
-    pub n_evaluations: u64,
+impl Default for Listeners {
+    /// Returns channels without receivers.
+    fn default() -> Self {
+        Self {
+            reports: watch::Sender::default(),
+            evaluations: mpsc::unbounded_channel().0,
+            progress: watch::Sender::default(),
+            evaluated: mpsc::unbounded_channel().0,
+            weights: watch::Sender::default(),
+        }
+    }
 }
 
 /// Signals that end an evaluator.
@@ -58,12 +64,12 @@ pub struct Summary {
 pub struct Stop {
     /// Abandons the current evaluation.
     pub now: CancellationToken,
-    /// The last weights, once known. They are evaluated even if no evaluation is due, unless they already were. They do
-    /// not come over the bus: a learner that has ended answers no pulls.
+    /// The last weights, once known. They are evaluated even if no evaluation is due, unless they already were, and then
+    /// the evaluator ends. They do not come over the bus: a learner that has ended answers no pulls.
     pub last: Option<watch::Receiver<Option<Arc<Weights>>>>,
 }
 
-/// Evaluates the newest weights whenever an evaluation is due, until `stop`.
+/// Evaluates the newest weights whenever an evaluation is due, until `stop`. Returns how many evaluations it completed.
 ///
 /// Each report goes to `metrics/eval/<split>/<blueprint>` and `metrics/eval/summary`, to the files of the run, and to
 /// the `listeners`. During an evaluation, intermediate results go to the bus; see
@@ -74,25 +80,37 @@ pub struct Stop {
 /// If the configuration is invalid, the session fails, the weights are of another network, an episode cannot be
 /// started, the records cannot be opened or the history's last rows cannot be written at the end, or another evaluator
 /// writes the same history.
-pub async fn run(setup: EvaluatorSetup, bus: &Bus, mut listeners: Listeners, stop: Stop) -> anyhow::Result<Summary> {
+pub async fn run(setup: EvaluatorSetup, bus: &Bus, mut listeners: Listeners, stop: Stop) -> anyhow::Result<u64> {
     setup.config.videos.check_in(&setup.catalog)?;
-    let selection = [&setup.config.selection, &setup.config.last_selection()];
-    let [selected, last_selected] = selection.map(|selection| goals(selection, &setup.catalog));
-    let selected = Selected { usual: selected?, last: last_selected? };
+    let goals = |selection: &Selection| -> Result<Vec<Blueprint>, EvaluatorConfigError> {
+        Ok(selection.select(&setup.catalog)?.into_iter().cloned().collect())
+    };
+    let selected = Selected { usual: goals(&setup.config.selection)?, last: goals(&setup.config.last_selection())? };
     let records = setup.records.as_ref().map(Records::open).transpose()?;
     let history = past(setup.records.as_ref()).await?;
     let videos = match &setup.records {
         Some(paths) => VideoRecorder::open(&setup.config.videos, paths, setup.catalog.clone())?,
         None => None,
     };
-    let subscriber = bus.weights_subscriber().await?;
-    let usable = listeners.weights.take().unwrap_or_else(|| watch::channel(None).0);
-    let (weights, _validation) = validated(subscriber.watch(), usable, setup.policy.clone(), bus.clone());
+    let usable = std::mem::take(&mut listeners.weights);
+    let (weights, policy) = (usable.subscribe(), setup.policy.clone());
+    let try_out = move |weights: Weights| match Policy::with_weights(&policy, &weights) {
+        Err(error) if error.is_of_weights() => {
+            tracing::warn!(version = weights.version.0, %error, "weights refused, those before them stay in force");
+            None
+        }
+        // Weights of another network pass, because waiting does not help: the evaluation then reports the error.
+        _ => {
+            usable.send_replace(Some(Arc::new(weights)));
+            Some(())
+        }
+    };
+    let _subscriber = bus.weights_subscriber_keeping(try_out).await?;
     let mut evaluations = Evaluations::default();
     let last = history.last().and_then(|evaluation| Evaluated::before(evaluation, &setup, &selected));
     for evaluation in history {
         evaluations.push(&evaluation);
-        tell(listeners.evaluations.as_ref(), evaluation);
+        drop(listeners.evaluations.send(evaluation));
     }
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&evaluations.overview())?;
@@ -105,14 +123,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, mut listeners: Listeners, sto
     }
     let n_evaluations = ended?;
     kept?;
-    Ok(Summary { n_evaluations })
-}
-
-/// Sends an evaluation to the listener, which may be gone.
-fn tell(listener: Option<&mpsc::UnboundedSender<Evaluation>>, evaluation: Evaluation) {
-    if let Some(listener) = listener {
-        let _ = listener.send(evaluation);
-    }
+    Ok(n_evaluations)
 }
 
 /// Reads the evaluations that are already recorded.
@@ -138,22 +149,28 @@ async fn evaluate_all(
         () = stop.now.cancelled() => return Ok(0),
         alive = bus.declare_alive_alone(Role::Evaluator, &setup.id, NAME_PATIENCE) => alive?,
     };
+    // Without `stop.last`, the newest weights may be the last ones once the learner is gone.
+    let learner = match setup.config.evaluate_last && stop.last.is_none() {
+        true => Some(bus.learner_watch().await?),
+        false => None,
+    };
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
+        let ends = Ends { last: stop.last.clone(), learner: learner.as_ref().map(|learner| learner.watch()) };
         let newest = tokio::select! {
             () = stop.now.cancelled() => return Ok(n_evaluations),
-            newest = next_due(setup, &mut weights, last.as_ref(), selected, stop.last.clone()) => newest?,
+            newest = next_due(setup, &mut weights, last.as_ref(), selected, ends) => newest?,
         };
         drop(waiting);
         let Some((newest, is_last)) = newest else { return Ok(n_evaluations) };
         let start = Instant::now();
         last = Some(Evaluated { start, version: newest.version, n_env_steps: newest.n_env_steps, is_last });
-        let (parts, mut newest_part) = watch::channel(None);
+        let (parts, newest_part) = watch::channel(None);
         let videos = outlets.videos;
         let selector = videos.and_then(|videos| videos.selector(&newest, &setup.config.episodes.acting));
         let (counted, progress) = watch::channel(EvaluationProgress::default());
-        let goals = selected.of(is_last).to_vec();
+        let goals = if is_last { selected.last.clone() } else { selected.usual.clone() };
         let signals = (&stop.now, bus.pulse());
         let evaluation = evaluate_once(setup, goals, newest.clone(), selector, parts, counted, signals);
         let stamp = |mut report: EvalReport| {
@@ -162,15 +179,7 @@ async fn evaluate_all(
             report.summary.videos = videos.map(VideoRecorder::counts);
             report
         };
-        let report = match outlets.follow(evaluation, &mut newest_part, progress, &stamp).await? {
-            Err(EvalError::Interrupted) => {
-                // The partial report goes to the listener but not to the history, which has only complete evaluations.
-                let part = newest_part.borrow().clone().filter(|part| !part.blueprints.is_empty());
-                if let (Some(part), Some(reports)) = (part, &outlets.listeners.reports) {
-                    reports.send_replace(Some(Arc::new(stamp(part))));
-                }
-                return Ok(n_evaluations);
-            }
+        let report = match outlets.follow(evaluation, newest_part, progress, &stamp).await? {
             // The weights passed the validation scene but failed on another one.
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();
@@ -180,8 +189,17 @@ async fn evaluate_all(
             }
             report => stamp(report?),
         };
+        if !report.summary.is_complete {
+            // Interrupted. The history has only complete evaluations.
+            if !report.blueprints.is_empty() {
+                outlets.publishers.publish(&report).await?;
+                outlets.listeners.reports.send_replace(Some(Arc::new(report)));
+            }
+            return Ok(n_evaluations);
+        }
         n_evaluations += 1;
-        outlets.judge(newest, Verdict::of(&setup.config.best, &selected.usual, &report));
+        let verdict = Verdict::of(&setup.config.best, &selected.usual, &report);
+        drop(outlets.listeners.evaluated.send(Scored { weights: newest, verdict }));
         outlets.put(report).await?;
     }
 }
@@ -198,24 +216,11 @@ struct Outlets<'r> {
 }
 
 impl Outlets<'_> {
-    fn progress(&self, so_far: Option<EvaluationProgress>) {
-        if let Some(progress) = &self.listeners.progress {
-            progress.send_replace(so_far);
-        }
-    }
-
-    fn judge(&self, weights: Arc<Weights>, verdict: Verdict) {
-        if let Some(evaluated) = &self.listeners.evaluated {
-            // The receiver may be gone.
-            drop(evaluated.send(Scored { weights, verdict }));
-        }
-    }
-
     /// Waits for the end of an evaluation. Until then, publishes its parts, after `stamp`, and its progress.
     async fn follow<T>(
         &mut self,
         evaluation: impl Future<Output = anyhow::Result<T>>,
-        parts: &mut watch::Receiver<Option<EvalReport>>,
+        mut parts: watch::Receiver<Option<EvalReport>>,
         mut progress: watch::Receiver<EvaluationProgress>,
         stamp: impl Fn(EvalReport) -> EvalReport,
     ) -> anyhow::Result<T> {
@@ -230,17 +235,19 @@ impl Outlets<'_> {
                         self.publishers.publish(&stamp(part)).await?;
                     }
                 }
-                Ok(()) = progress.changed() => self.progress(Some(*progress.borrow_and_update())),
+                Ok(()) = progress.changed() => {
+                    self.listeners.progress.send_replace(Some(*progress.borrow_and_update()));
+                }
                 ended = &mut evaluation => break ended,
             }
         };
-        self.progress(None);
+        self.listeners.progress.send_replace(None);
         ended
     }
 
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
         let evaluation = Evaluation::new(&report, unix_ms());
-        tell(self.listeners.evaluations.as_ref(), evaluation.clone());
+        drop(self.listeners.evaluations.send(evaluation.clone()));
         self.evaluations.push(&evaluation);
         self.publishers.history.set(&self.evaluations.overview())?;
         if let Some(mut open) = self.records.take() {
@@ -253,9 +260,7 @@ impl Outlets<'_> {
             self.records = Some(kept.await.context("the recording thread panicked")?);
         }
         self.publishers.publish(&report).await?;
-        if let Some(reports) = &self.listeners.reports {
-            reports.send_replace(Some(Arc::new(report.clone())));
-        }
+        self.listeners.reports.send_replace(Some(Arc::new(report.clone())));
         self.last = Some(report);
         Ok(())
     }
@@ -287,26 +292,6 @@ struct Selected {
     last: Vec<Blueprint>,
 }
 
-impl Selected {
-    fn of(&self, is_last: bool) -> &[Blueprint] {
-        if is_last { &self.last } else { &self.usual }
-    }
-
-    /// Whether an evaluation covered everything that the evaluation of the last weights would.
-    fn is_covered(&self, evaluated: &Evaluated) -> bool {
-        evaluated.is_last || self.last.len() == self.usual.len()
-    }
-}
-
-/// The newest evaluation, complete or not.
-struct Evaluated {
-    start: Instant,
-    version: WeightsVersion,
-    n_env_steps: u64,
-    /// Whether it covered all blueprints of `Selected::last`.
-    is_last: bool,
-}
-
 impl Evaluated {
     /// Returns the last evaluation of the history, unless it lacks some episodes of the current configuration and must
     /// be repeated.
@@ -336,6 +321,14 @@ impl Evaluated {
     }
 }
 
+/// What tells which weights are the last.
+struct Ends {
+    /// The last weights, once known.
+    last: Option<watch::Receiver<Option<Arc<Weights>>>>,
+    /// Whether a learner is there that may have newer ones.
+    learner: Option<watch::Receiver<bool>>,
+}
+
 /// Waits for weights that are due, and returns them with whether they are the last; `None` if no more will be
 /// evaluated.
 async fn next_due(
@@ -343,57 +336,34 @@ async fn next_due(
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
     last: Option<&Evaluated>,
     selected: &Selected,
-    mut last_weights: Option<watch::Receiver<Option<Arc<Weights>>>>,
+    mut ends: Ends,
 ) -> anyhow::Result<Option<(Arc<Weights>, bool)>> {
+    // The last weights may have more goals: an evaluation without those does not count as theirs.
+    let covers = |last: &&Evaluated| last.is_last || selected.last.len() == selected.usual.len();
+    let evaluated = last.filter(covers).map(|last| (last.version, last.n_env_steps));
+    let is_new = |newest: &Weights| evaluated != Some((newest.version, newest.n_env_steps));
     loop {
-        if let Some(newest) = last_weights.as_mut().and_then(|last| last.borrow_and_update().clone()) {
-            let covered = last.filter(|last| selected.is_covered(last));
-            let evaluated = covered.map(|last| (last.version, last.n_env_steps));
-            let is_new = evaluated != Some((newest.version, newest.n_env_steps));
-            return Ok(is_new.then_some((newest, true)));
+        if let Some(newest) = ends.last.as_mut().and_then(|last| last.borrow_and_update().clone()) {
+            return Ok(is_new(&newest).then_some((newest, true)));
         }
         let newest = weights.borrow_and_update().clone();
-        let rest = match newest {
-            None => None,
-            Some(newest) => {
-                let last = last.map(|last| LastEvaluation {
-                    version: last.version,
-                    n_env_steps: last.n_env_steps,
-                    elapsed: last.start.elapsed(),
-                });
-                match due(setup.config.every, last, &newest) {
-                    Due::Now => return Ok(Some((newest, false))),
-                    Due::After(rest) => Some(rest),
-                    Due::WithNewer => None,
-                }
-            }
+        let is_gone = ends.learner.as_mut().is_some_and(|is_there| !*is_there.borrow_and_update());
+        if is_gone && let Some(newest) = newest.clone().filter(|newest| newest.n_env_steps > 0 && is_new(newest)) {
+            return Ok(Some((newest, true)));
+        }
+        let rest = match newest.map(|newest| (due(setup.config.every, last, &newest, Instant::now()), newest)) {
+            Some((Due::Now, newest)) => return Ok(Some((newest, false))),
+            Some((Due::After(rest), _)) => Some(rest),
+            Some((Due::WithNewer, _)) | None => None,
         };
         tokio::select! {
             changed = weights.changed() => changed.context("the bus closed")?,
-            () = is_known(&mut last_weights) => {}
+            // Never, if there is no receiver or its sender is gone.
+            Some(Ok(())) = async { Some(ends.last.as_mut()?.changed().await) } => {}
+            Some(Ok(())) = async { Some(ends.learner.as_mut()?.changed().await) } => {}
             () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
         }
     }
-}
-
-/// Waits until the last weights are known, or forever if there is no sender.
-async fn is_known(last_weights: &mut Option<watch::Receiver<Option<Arc<Weights>>>>) {
-    if let Some(last_weights) = last_weights
-        && last_weights.changed().await.is_ok()
-    {
-        return;
-    }
-    std::future::pending().await
-}
-
-fn goals(selection: &Selection, catalog: &Catalog) -> Result<Vec<Blueprint>, EvaluatorConfigError> {
-    Ok(selection.select(catalog)?.into_iter().cloned().collect())
-}
-
-/// Returns the milliseconds since 1970; 0 if the clock is earlier.
-fn unix_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Runs one evaluation on a separate thread; intermediate reports go to `parts`, its progress goes to `counted`.
@@ -410,18 +380,16 @@ async fn evaluate_once(
     on_thread(move || {
         let EvaluatorSetup { config, policy, environment, seed, catalog, .. } = setup;
         let (episodes, reset_free) = (config.episodes.clone(), config.reset_free.clone());
-        let eval_setup = EvalSetup { catalog: &catalog, environment, episodes, reset_free, n_worlds: N_WORLDS, seed };
+        let setup = EvalSetup { catalog: &catalog, environment, episodes, reset_free, n_worlds: N_WORLDS, seed };
         let keep_going = || {
             pulse.beat();
             !shutdown.is_cancelled()
         };
-        let agent = || Policy::with_weights(&policy, &weights).map_err(EvalError::from);
-        let setup = &eval_setup;
-        let observer = videos.as_ref();
-        let progress = Some(&counted);
-        let pool = EvaluationPool { setup, agent: &agent, observer, progress, keep_going: &keep_going };
+        let (setup, performer) = (&setup, Performer::Policy(&policy, &weights));
+        let (observer, progress) = (videos.as_ref(), Some(&counted));
+        let pool = EvaluationPool { setup, performer, observer, progress, keep_going: &keep_going };
         let selected: Vec<&Blueprint> = selected.iter().collect();
-        evaluate_in_parts(&pool, Some(&weights), &selected, &mut |part| drop(parts.send_replace(Some(part))))
+        evaluate_in_parts(&pool, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })
     .await
 }

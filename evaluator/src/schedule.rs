@@ -1,20 +1,22 @@
 //! When the next evaluation is due.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use proto::{Weights, WeightsVersion};
 
 use crate::config::Every;
 
-/// The start of the last evaluation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct LastEvaluation {
+/// The newest evaluation, complete or not.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Evaluated {
+    /// When it began.
+    pub(crate) start: Instant,
     /// Version of the evaluated weights.
     pub(crate) version: WeightsVersion,
     /// Environment steps on which the weights were trained.
     pub(crate) n_env_steps: u64,
-    /// Time since the evaluation began.
-    pub(crate) elapsed: Duration,
+    /// Whether it covered all blueprints for the last weights.
+    pub(crate) is_last: bool,
 }
 
 /// When to evaluate the newest weights.
@@ -28,12 +30,12 @@ pub(crate) enum Due {
     WithNewer,
 }
 
-/// Returns when to evaluate `newest` after `last`.
+/// Returns when to evaluate `newest` after `last`, seen from `now`.
 ///
 /// Untrained weights are not evaluated. The first weights after them are due as if weights 0 had been evaluated, or at
 /// once where a time says when. The same weights are never evaluated again. A version or step count lower than the last
 /// one means that the learner resumed from a checkpoint, so its weights count as new.
-pub(crate) fn due(every: Every, last: Option<LastEvaluation>, newest: &Weights) -> Due {
+pub(crate) fn due(every: Every, last: Option<&Evaluated>, newest: &Weights, now: Instant) -> Due {
     let far_enough = |passed: Option<u64>, step: u64| match passed {
         Some(passed) if passed < step => Due::WithNewer,
         _ => Due::Now,
@@ -51,7 +53,7 @@ pub(crate) fn due(every: Every, last: Option<LastEvaluation>, newest: &Weights) 
     match every {
         Every::Minutes(minutes) => {
             let period = Duration::from_secs_f64(60.0 * minutes);
-            match period.checked_sub(last.elapsed) {
+            match period.checked_sub(now.duration_since(last.start)) {
                 None | Some(Duration::ZERO) => Due::Now,
                 Some(rest) => Due::After(rest),
             }
@@ -72,8 +74,10 @@ mod tests {
     #[test]
     fn evaluations_are_as_far_apart_as_configured() {
         let secs = Duration::from_secs;
+        let now = Instant::now() + secs(1000);
         let last = |version, n_env_steps, seconds| {
-            Some(LastEvaluation { version: WeightsVersion(version), n_env_steps, elapsed: secs(seconds) })
+            let start = now - secs(seconds);
+            Some(Evaluated { start, version: WeightsVersion(version), n_env_steps, is_last: false })
         };
         let table = [
             (Every::Minutes(10.0), None, weights(0, 0), Due::WithNewer),
@@ -93,7 +97,7 @@ mod tests {
             (Every::Versions(5), last(30, 300, 0), weights(25, 250), Due::Now),
         ];
         for (every, last, newest, expected) in table {
-            assert_eq!(due(every, last, &newest), expected, "{every:?} {last:?}");
+            assert_eq!(due(every, last.as_ref(), &newest, now), expected, "{every:?} {last:?}");
         }
     }
 }

@@ -4,8 +4,10 @@ use blueprints::hash::fnv1a;
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::config::SuccessConfig;
 use environment::vec_env::generator;
-use environment::{Env, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
-use proto::{Action, ActionMode, Agent, Observation, RewardTerms, Scene, Start, Status, Task};
+use environment::{Env, ExpertAgent, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
+use policy::{Policy, PolicyError};
+use proto::{Action, ActionMode, Observation, RewardTerms, Scene, Start, Status, Task};
+use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -16,20 +18,18 @@ use crate::setup::EvalError;
 /// Number of steps in which a success can prove stable after the grippers have let go.
 const SETTLE_STEPS: u8 = 10;
 
+/// The agent that acts, with its state.
+pub(crate) enum PerformerAgent {
+    Expert(ExpertAgent),
+    Policy(Box<Policy>),
+}
+
 /// An episode to run.
 #[derive(Clone, Debug)]
 pub(crate) struct EpisodeSpec {
     pub(crate) task: Task,
     pub(crate) split: Split,
     pub(crate) n_blocks: usize,
-}
-
-/// Position of an episode among those that are run together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Place {
-    pub(crate) sequence_idx: usize,
-    /// Index in the sequence.
-    pub(crate) episode_idx: usize,
 }
 
 /// Settings shared by all worlds of a thread.
@@ -52,10 +52,10 @@ impl EpisodeSpec {
         };
         let mut others = catalog.of_split(Split::Train).to_vec();
         others.retain(|other| other.id() != blueprint.id());
-        if prebuilt && !others.is_empty() {
-            // A separate generator keeps the rest of the task independent of its start.
-            let mut rng = ChaCha8Rng::seed_from_u64(spec.task.seed);
-            spec.task.start = Start::Prebuilt(others[rng.random_range(0..others.len())].id().clone());
+        // A separate generator keeps the rest of the task independent of its start.
+        let mut rng = ChaCha8Rng::seed_from_u64(spec.task.seed);
+        if prebuilt && let Some(other) = others.choose(&mut rng) {
+            spec.task.start = Start::Prebuilt(other.id().clone());
         }
         spec
     }
@@ -67,21 +67,6 @@ impl EpisodeSpec {
         let task = Task { blueprint: blueprint.id().clone(), assignment, start, seed: rng.random() };
         Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
     }
-
-    /// Builds the result of this episode.
-    pub(crate) fn result(
-        &self,
-        acting: ActionMode,
-        end: End,
-        n_steps: u32,
-        episode_return: RewardTerms,
-        forced_reset: bool,
-    ) -> EpisodeResult {
-        let blueprint = self.task.blueprint.clone();
-        let split = self.split;
-        let n_blocks = self.n_blocks;
-        EpisodeResult { blueprint, split, n_blocks, acting, end, n_steps, episode_return, forced_reset }
-    }
 }
 
 /// Observes episodes.
@@ -89,10 +74,10 @@ pub(crate) trait EpisodeObserver: Sync {
     /// Data kept for an episode while it runs.
     type Record;
 
-    /// The episode at this place has begun in `start`. Returns `None` to ignore it.
+    /// An episode of this sequence has begun in `start`. Returns `None` to ignore it.
     fn begin(
         &self,
-        place: Place,
+        sequence_idx: usize,
         spec: &EpisodeSpec,
         acting: ActionMode,
         start: Observation<'_>,
@@ -107,16 +92,13 @@ pub(crate) trait EpisodeObserver: Sync {
 
 /// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
 /// starts the next sequence. Each sequence's results go to `done` with its index.
-pub(crate) fn run_sequences<'s, E: Env + Clone, A: Agent, O: EpisodeObserver>(
+pub(crate) fn run_sequences<'s, E: Env + Clone, O: EpisodeObserver>(
     rules: &Rules<'_, O>,
-    agent: &mut A,
+    agent: &mut PerformerAgent,
     mut worlds: Vec<E>,
     mut next: impl FnMut() -> Option<(usize, &'s [EpisodeSpec])>,
     mut done: impl FnMut(usize, Vec<EpisodeResult>),
-) -> Result<(), EvalError>
-where
-    EvalError: From<A::Error>,
-{
+) -> Result<(), EvalError> {
     let slots: Vec<EnvSlot<'_, O::Record>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
     worlds.truncate(slots.len());
     let mut running = EnvironmentLoop { rules, agent, envs: VecEnv::new(worlds), slots };
@@ -127,9 +109,8 @@ where
         if !(rules.keep_going)() {
             return Err(EvalError::Interrupted);
         }
-        let steps = running.envs.step(running.agent, &vec![rules.acting; running.slots.len()])?;
         let mut free = Vec::new();
-        for (row, step) in steps.into_iter().enumerate() {
+        for (row, step) in running.step()?.into_iter().enumerate() {
             let Some(result) = running.observe(row, step) else { continue };
             let slot = &mut running.slots[row];
             slot.results.push(result);
@@ -152,9 +133,9 @@ where
 }
 
 /// Worlds, the agent that acts in them, and their episodes.
-struct EnvironmentLoop<'a, E, A, O: EpisodeObserver> {
+struct EnvironmentLoop<'a, E, O: EpisodeObserver> {
     rules: &'a Rules<'a, O>,
-    agent: &'a mut A,
+    agent: &'a mut PerformerAgent,
     envs: VecEnv<E>,
     /// One slot per world.
     slots: Vec<EnvSlot<'a, O::Record>>,
@@ -177,20 +158,17 @@ struct EnvSlot<'s, R> {
 
 impl<'s, R> EnvSlot<'s, R> {
     fn new((sequence_idx, sequence): (usize, &'s [EpisodeSpec])) -> Self {
+        let (played, episode_return) = (sequence[0].clone(), RewardTerms::default());
         let results = Vec::new();
-        let episode_return = RewardTerms::default();
-        let record = None;
-        let played = sequence[0].clone();
-        Self { sequence_idx, sequence, results, played, forced_reset: false, n_steps: 0, episode_return, record }
+        Self { sequence_idx, sequence, results, played, forced_reset: false, n_steps: 0, episode_return, record: None }
     }
 }
 
-impl<E: Env + Clone, A: Agent, O: EpisodeObserver> EnvironmentLoop<'_, E, A, O> {
+impl<E: Env + Clone, O: EpisodeObserver> EnvironmentLoop<'_, E, O> {
     /// Starts the next episode of a world's sequence.
     fn start(&mut self, row: usize) -> Result<(), EvalError> {
         let slot = &mut self.slots[row];
-        let place = Place { sequence_idx: slot.sequence_idx, episode_idx: slot.results.len() };
-        let spec = &slot.sequence[place.episode_idx];
+        let spec = &slot.sequence[slot.results.len()];
         slot.forced_reset = false;
         let retry = |task: &mut Task, error: &ResetError| match error {
             ResetError::NothingToKeep if task.start == Start::AsItIs => {
@@ -210,9 +188,21 @@ impl<E: Env + Clone, A: Agent, O: EpisodeObserver> EnvironmentLoop<'_, E, A, O> 
         (slot.n_steps, slot.episode_return) = (0, RewardTerms::default());
         slot.played = EpisodeSpec { task, ..spec.clone() };
         let start = self.envs.env(row).observation();
-        slot.record =
-            self.rules.observer.and_then(|observer| observer.begin(place, &slot.played, self.rules.acting, start));
+        let begin = |observer: &O| observer.begin(slot.sequence_idx, &slot.played, self.rules.acting, start);
+        slot.record = self.rules.observer.and_then(begin);
         Ok(())
+    }
+
+    /// Advances every world by one step.
+    fn step(&mut self) -> Result<Vec<Step>, PolicyError> {
+        let modes = vec![self.rules.acting; self.slots.len()];
+        match self.agent {
+            PerformerAgent::Expert(expert) => {
+                let Ok(steps) = self.envs.step(expert, &modes);
+                Ok(steps)
+            }
+            PerformerAgent::Policy(policy) => self.envs.step(policy.as_mut(), &modes),
+        }
     }
 
     /// Records a step; returns the result if the step ended the episode.
@@ -235,7 +225,17 @@ impl<E: Env + Clone, A: Agent, O: EpisodeObserver> EnvironmentLoop<'_, E, A, O> 
             Status::Running | Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };
-        let result = slot.played.result(rules.acting, end, slot.n_steps, slot.episode_return, slot.forced_reset);
+        let EpisodeSpec { task, split, n_blocks } = &slot.played;
+        let result = EpisodeResult {
+            blueprint: task.blueprint.clone(),
+            split: *split,
+            n_blocks: *n_blocks,
+            acting: rules.acting,
+            end,
+            n_steps: slot.n_steps,
+            episode_return: slot.episode_return,
+            forced_reset: slot.forced_reset,
+        };
         if let (Some(observer), Some(record)) = (rules.observer, slot.record.take()) {
             observer.end(record, &slot.played, env.scene(), &result);
         }
@@ -254,8 +254,7 @@ fn settles(mut env: impl Env, success: &SuccessConfig) -> bool {
 
 /// Hashes everything that identifies an episode into the seed of its task's generator.
 fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
-    let bytes = seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes());
-    fnv1a(bytes)
+    fnv1a(seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes()))
 }
 
 #[cfg(test)]

@@ -1,6 +1,5 @@
 //! The setup of an evaluation, and its errors.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 
 use blueprints::Catalog;
@@ -46,12 +45,6 @@ pub enum EvalError {
     /// The caller stopped the evaluation.
     #[error("the evaluation was interrupted")]
     Interrupted,
-}
-
-impl From<Infallible> for EvalError {
-    fn from(never: Infallible) -> Self {
-        match never {}
-    }
 }
 
 /// Everything that an evaluator process needs except the bus.

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
+use runlog::series::outcome_of;
 
 use crate::endings::{Ending, SizeEndings};
 
@@ -72,8 +74,8 @@ pub fn render(report: &EvalReport, detail: Detail) -> String {
 fn blueprints(text: &mut Table, all: &[EvalBlueprint], detail: Detail) {
     let rate = |score: &EvalBlueprint| {
         let evaluated =
-            [score.greedy.success, score.sampled.success].into_iter().find(|success| success.n_episodes > 0);
-        evaluated.map_or(0.0, |success| success.rate)
+            [ActionMode::Greedy, ActionMode::Sampled].into_iter().find_map(|acting| outcome_of(score, acting));
+        evaluated.map_or(0.0, |outcome| outcome.success.rate)
     };
     let (title, shown): (_, Vec<&EvalBlueprint>) = match detail {
         Detail::Groups => return,
@@ -81,9 +83,9 @@ fn blueprints(text: &mut Table, all: &[EvalBlueprint], detail: Detail) {
         Detail::Worst(n) => {
             let mut imperfect: Vec<&EvalBlueprint> = all.iter().filter(|one| rate(one) < 1.0).collect();
             imperfect.sort_by(|a, b| rate(a).total_cmp(&rate(b)));
-            let n_imperfect = imperfect.len();
+            let title = format!("worst {} of {} below 100 %", n.min(imperfect.len()), imperfect.len());
             imperfect.truncate(n);
-            (format!("worst {} of {n_imperfect} below 100 %", imperfect.len()), imperfect)
+            (title, imperfect)
         }
     };
     if !shown.is_empty() {
@@ -106,8 +108,8 @@ pub fn render_endings(sizes: &BTreeMap<(&str, usize), SizeEndings>) -> String {
         let shares = [Ending::Built, Ending::Still, Ending::Wrong, Ending::Misplaced, Ending::Stuck, Ending::Time];
         let shares = shares.map(|ending| format!("{:>5.1}", share(ending))).join(" ");
         let n_draws = size.draws.values().sum::<u64>().max(1) as f64;
-        let draws = size.draws.iter().map(|(kind, &n)| format!("{kind} {:.0}", 100.0 * n as f64 / n_draws));
-        let draws: Vec<String> = draws.collect();
+        let draw = |(kind, &n): (&String, &u64)| format!("{kind} {:.0}", 100.0 * n as f64 / n_draws);
+        let draws: Vec<String> = size.draws.iter().map(draw).collect();
         text += &format!(
             "{acting:<7} {n_blocks:>6} {n:>6}  {shares} {:>5.1} {:.1}/{:.1}/{:.1}  {}\n",
             share(Ending::Diverged),
@@ -174,7 +176,7 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use proto::wilson::SuccessRate;
-    use proto::{ActionMode, RewardTerms, WeightsVersion};
+    use proto::{RewardTerms, WeightsVersion};
 
     use super::*;
     use crate::report::tests::episode;

@@ -1,9 +1,9 @@
 //! Physical tests of a blueprint: whether it stands, and whether it can be built.
 
-use blueprints::{Blueprint, Catalog};
+use blueprints::{BlockIdx, Blueprint, Catalog};
 use environment::{Env, EnvironmentConfig, StartError, World};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use proto::{Action, Pose, Start, Task, Valid};
+use nalgebra::{UnitQuaternion, Vector3};
+use proto::{Action, Start, Task, Valid};
 
 use crate::config::EpisodeConfig;
 use crate::episodes::evaluate_followed;
@@ -51,34 +51,31 @@ pub fn settle(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprint) -> 
     let mut worst = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for seed in 0..N_PLACES {
         let id = blueprint.id().clone();
-        let assignment = std::array::from_fn(|i| blueprints::BlockIdx::all().nth(i).expect("there are 16 blocks"));
+        let assignment = BlockIdx::array(|block| block);
         let task = Task { blueprint: id.clone(), assignment, start: Start::Prebuilt(id.clone()), seed };
         world.reset(&task, &catalog).map_err(|source| StartError { blueprint: id, source })?;
-        let found = stand(&mut world, blueprint);
-        worst.drift_m = worst.drift_m.max(found.drift_m);
-        worst.turn_rad = worst.turn_rad.max(found.turn_rad);
-        worst.n_lost = worst.n_lost.max(found.n_lost);
+        stand(&mut world, blueprint, &mut worst);
     }
     Ok(worst)
 }
 
-fn stand(world: &mut World, blueprint: &Blueprint) -> Settling {
+/// Lets a blueprint that was just built stand, and raises each measure that is worse than before.
+fn stand(world: &mut World, blueprint: &Blueprint, worst: &mut Settling) {
     let before = world.scene().clone();
-    let mut found = Settling { drift_m: 0.0, turn_rad: 0.0, n_lost: 0 };
     for _ in 0..SETTLE_STEPS {
         world.step(&Action::IDLE);
         // Counted at every step, because some broken connections snap together again.
         let n_lost = before.joints.iter().filter(|joint| !world.scene().joints.contains(joint)).count();
-        found.n_lost = found.n_lost.max(n_lost);
+        worst.n_lost = worst.n_lost.max(n_lost);
     }
     let after = world.scene();
     for placement in blueprint.placements() {
         let (from, to) = (&before.blocks[placement.block.get()], &after.blocks[placement.block.get()]);
         let moved = Vector3::from(to.position) - Vector3::from(from.position);
-        found.drift_m = found.drift_m.max(moved.norm());
-        found.turn_rad = found.turn_rad.max(rotation(from).angle_to(&rotation(to)));
+        worst.drift_m = worst.drift_m.max(moved.norm());
+        let [from, to] = [from, to].map(|pose| UnitQuaternion::new_normalize(pose.orientation.into()));
+        worst.turn_rad = worst.turn_rad.max(from.angle_to(&to));
     }
-    found
 }
 
 /// Lets the expert build a blueprint from scattered starts. Returns the number of successes and the number of tries.
@@ -95,14 +92,9 @@ pub fn try_building(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprin
         n_worlds: N_WORLDS,
         seed: 0,
     };
-    let report = evaluate_followed(&setup, Performer::Expert, &[blueprint], &Follower::default(), None)?;
+    let report = evaluate_followed(&setup, Performer::Expert, &[blueprint], &Follower::default())?;
     let n_successes = report.blueprints.iter().map(|found| found.greedy.success.n_successes).sum();
     Ok((n_successes, u64::from(N_EPISODES)))
-}
-
-fn rotation(pose: &Pose) -> UnitQuaternion<f32> {
-    let [x, y, z, w] = pose.orientation;
-    UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use policy::{
     BatchTensors, FeatureBatch, FeatureConfig, FeatureSizes, MoveHead, Network, NetworkConfig, Policy, PolicyConfig,
     parameters,
 };
-use proto::{ActionMode, Agent, Gripper, Joint, Observation, Pose, Scene, Valid};
+use proto::{ActionMode, Agent, Joint, Observation, Pose, Scene, Valid};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -133,13 +133,8 @@ fn half_built(goal: &Blueprint) -> Scene {
     let placed = &goal.placements()[..n_placed];
     let is_placed = |block| placed.iter().any(|placement| placement.block == block);
     let made = goal.links().iter().filter(|link| is_placed(link.a) && is_placed(link.b));
-    Scene {
-        blocks,
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: made.map(|link| Joint { a: link.a, b: link.b, relative: link.relative }).collect(),
-        grippers: [Some(Gripper::IDLE); 2],
-        n_heavy_contacts: 0,
-    }
+    let joints = made.map(|link| Joint { a: link.a, b: link.b, relative: link.relative }).collect();
+    Scene { joints, ..Scene::at_rest(blocks) }
 }
 
 fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {

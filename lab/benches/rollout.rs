@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 use std::hint::black_box;
 
-use actor::{Identity, Rollout, RolloutSetup, TaskConfig};
+use actor::{ActorConfig, ActorSetup, Rollout, TaskConfig};
 use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, World};
 use policy::cpu::Outputs;
@@ -97,17 +97,17 @@ fn main() {
 }
 
 fn rollout(policy: &Valid<PolicyConfig>, environment: &Valid<EnvironmentConfig>, weights: &Weights) -> Rollout<World> {
-    let setup = RolloutSetup {
-        catalog: Catalog::builtin().clone(),
+    let tasks = TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() };
+    let setup = ActorSetup {
+        config: Valid::new(ActorConfig { segment_len: 32, tasks, ..ActorConfig::default() }).unwrap(),
         policy: policy.clone(),
-        settings: Default::default(),
-        tasks: TaskConfig { prebuilt_probability: 0.3, ..TaskConfig::default() },
-        segment_len: 32,
-        identity: Identity { actor: ActorId::try_from("bench".to_owned()).unwrap(), epoch: 0, settings_hash: 0 },
+        environment: environment.clone(),
+        id: ActorId::try_from("bench".to_owned()).unwrap(),
         seed: 0,
+        catalog: Catalog::builtin().clone(),
     };
     let worlds = (0..N_WORLDS).map(|_| World::new(environment)).collect();
-    Rollout::new(setup, worlds, weights).unwrap()
+    Rollout::new(setup, 0, 0, worlds, weights).unwrap()
 }
 
 fn untrained(policy: &PolicyConfig) -> Weights {

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use blueprints::{BlockIdx, BlueprintId, Catalog, N_BLOCKS};
 use learner::{DeviceKind, Learner, LearnerConfig, LearnerSetup};
-use proto::{Action, ActorId, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, Valid};
+use proto::{Action, ActorId, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -41,7 +41,8 @@ fn main() {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     for round in 0..3 {
         for _ in 0..n_samples.div_ceil(SEGMENT) {
-            learner.ingest(segment(&id, learner.version().0, &mut rng)).unwrap();
+            let segment = segment(&id, learner.version().0, &mut rng);
+            learner.mailbox().push_beyond_capacity(segment).unwrap();
         }
         let start = Instant::now();
         learner.update_from_mailbox().unwrap();
@@ -65,8 +66,7 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
             disturbance: None,
         })
         .collect();
-    let assignment: Vec<BlockIdx> = BlockIdx::all().collect();
-    let assignment = assignment.try_into().unwrap();
+    let assignment = BlockIdx::array(|block| block);
     Trajectory {
         actor: ActorId::try_from("bench".to_owned()).unwrap(),
         epoch: 0,
@@ -84,14 +84,8 @@ fn segment(id: &BlueprintId, version: u64, rng: &mut ChaCha8Rng) -> Trajectory {
 }
 
 fn scene(rng: &mut ChaCha8Rng) -> Scene {
-    Scene {
-        blocks: std::array::from_fn(|_| Pose {
-            position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
-            orientation: [0.0, 0.0, 0.0, 1.0],
-        }),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE); 2],
-        n_heavy_contacts: 0,
-    }
+    Scene::at_rest(std::array::from_fn(|_| Pose {
+        position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+    }))
 }

@@ -119,7 +119,7 @@ fn row() -> String {
     for block in BlockIdx::all() {
         let i = block.get();
         let cells = inventory.cells(block);
-        let name = &inventory.block_type(block).name;
+        let name = inventory.block_type(block).name;
         blocks.push(format!(r#"{{ name = "b{i}", type = "{name}", at = [{x}, 0, 0], axes = "+x +y" }}"#));
         if let Some(last) = i.checked_sub(1).and_then(|last| BlockIdx::all().nth(last)) {
             let before = inventory.cells(last);

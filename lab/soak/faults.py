@@ -175,7 +175,7 @@ class Faults:
             await eventually(f"updates after {member.name} was hurt", BACK_S, grows(ring.n_updates))
         else:
             # The evaluator runs only when there are new weights. The final checks cover its evaluations.
-            await eventually(f"{member.name} runs", BACK_S, lambda: time.time() > member.process.began + 1)
+            await eventually(f"{member.name} joins", BACK_S, lambda: "joined the bus" in member.process.log.read_text(errors="replace"))
 
 
 def grows(count: Callable[[], int]) -> Callable[[], bool]:

@@ -57,6 +57,8 @@ async def nothing_is_lost(ring: Ring) -> str:
     await eventually("updates without a fault", 2 * BACK_S, lambda: ring.n_updates() >= n_updates + N_UPDATES)
     acked_after, saved_after = await acked_and_saved_at_rest(ring)
     ring.resume_learner()
+    # A process that has just begun does not handle SIGTERM yet.
+    await eventually("the learner takes trajectories again", BACK_S, ring.learner_has_taken)
     acked, saved = acked_after - acked_before, saved_after - saved_before
     said = f"{acked} acknowledged, {saved} in the checkpoint"
     require(acked <= saved, f"{acked - saved} acknowledged trajectories were lost by a learner that ended well: {said}")

@@ -74,18 +74,14 @@ impl Batch {
             let policy_lag = policy_lag(version, &trajectory);
             let fingerprint = trajectory.fingerprint();
             let first = batch.actions.len();
-            let mut is_offered = true;
-            for (t, transition) in trajectory.transitions.iter().enumerate() {
+            let is_offered = trajectory.transitions.iter().enumerate().all(|(t, transition)| {
                 batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint });
-                let after = trajectory.transitions.get(t + 1).map_or(&trajectory.last_scene, |next| &next.scene);
-                if !batch.push_draws(transition, after, &blueprint) {
-                    is_offered = false;
-                    break;
-                }
                 batch.actions.push(transition.action.clone());
                 batch.behavior_log_probs.push(transition.behavior_log_prob);
                 batch.rewards.push(transition.reward.total());
-            }
+                let after = trajectory.transitions.get(t + 1).map_or(&trajectory.last_scene, |next| &next.scene);
+                batch.push_draws(transition, after, &blueprint)
+            });
             if !is_offered {
                 batch.truncate(first);
                 batch.refused.push(fingerprint);

@@ -12,27 +12,26 @@
 //! complete. The lengths and hashes detect other damage, such as an interrupted copy. A failed write, such as on a full
 //! disk, leaves nothing behind. The next start removes the leftovers of a killed process.
 
+mod error;
 pub(crate) mod files;
-mod format;
-pub(crate) mod tensors;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use policy::PolicyConfig;
+use policy::model::{FORMAT_VERSION, FormatVersion, parse_policy, tensors};
+use policy::parameters::{ParameterSpec, digest};
 use proto::codec::{decode_recording, encode_recording};
 use proto::{CanonicalSettings, Trajectory, Valid, Weights};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use crate::adam::Adam;
 use crate::state::LearnerState;
+pub use error::CheckpointError;
+use error::damaged;
+pub(crate) use error::{at, io};
 use files::FileInfo;
 pub use files::clean;
-pub use format::CheckpointError;
-pub(crate) use format::{FORMAT_VERSION, FormatVersion};
-use format::{damaged, io};
-pub use tensors::ParameterInfo;
 
 /// A function that durably writes a new file to a folder.
 pub(crate) type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str, &[u8]) -> Result<FileInfo, CheckpointError>;
@@ -56,7 +55,7 @@ pub struct Checkpoint {
     /// Settings of policy and worlds.
     pub settings: CanonicalSettings,
     /// Names and shapes of the parameters in the order of `parameters`.
-    pub table: Vec<ParameterInfo>,
+    pub table: Vec<ParameterSpec>,
     /// All parameters as one flat vector.
     pub parameters: Vec<f32>,
     /// The optimizer.
@@ -84,7 +83,7 @@ struct StateFile {
     settings: CanonicalSettings,
     /// Of the parameters.
     digest: String,
-    table: Vec<ParameterInfo>,
+    table: Vec<ParameterSpec>,
     adam_steps: u64,
     state: LearnerState,
 }
@@ -120,21 +119,19 @@ impl Checkpoint {
     /// Creates the folder with all files of the checkpoint.
     fn write_files(&self, temporary: &Path, write: WriteFile<'_>) -> Result<(), CheckpointError> {
         fs::create_dir(temporary).map_err(io("creating", temporary))?;
-        let mut files = Vec::new();
+        let tensors = |vectors: &[_]| tensors::write(&self.table, vectors, None).map_err(at(temporary));
         let contents = [
-            (PARAMETERS, tensors::write(&self.table, &[("", &self.parameters)], None)?),
-            (ADAM, tensors::write(&self.table, &[("first.", &self.adam.first), ("second.", &self.adam.second)], None)?),
+            (PARAMETERS, tensors(&[("", &self.parameters)])?),
+            (ADAM, tensors(&[("first.", &self.adam.first), ("second.", &self.adam.second)])?),
             (MAILBOX, pack(&self.mailbox)),
             (MODEL, json(&self.model)?),
         ];
-        for (name, bytes) in contents {
-            files.push(write(temporary, name, &bytes)?);
-        }
+        let files = contents.iter().map(|(name, bytes)| write(temporary, name, bytes)).collect::<Result<_, _>>()?;
         let state = StateFile {
             format_version: FORMAT_VERSION,
             files,
             settings: self.settings.clone(),
-            digest: tensors::digest(&self.table, &self.parameters),
+            digest: digest(&self.table, &self.parameters),
             table: self.table.clone(),
             adam_steps: self.adam.n_steps,
             state: self.state.clone(),
@@ -150,14 +147,16 @@ impl Checkpoint {
     /// error.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = files::read(path, STATE, MAX_STATE_BYTES)?;
-        parse::<FormatVersion>(path, STATE, &bytes)?.check(&path.join(STATE))?;
+        parse::<FormatVersion>(path, STATE, &bytes)?.check().map_err(at(&path.join(STATE)))?;
         let state: StateFile = parse(path, STATE, &bytes)?;
         let verified = |name| files::read_verified(path, name, &state.files);
-        let [parameters] = tensors::read(&path.join(PARAMETERS), &verified(PARAMETERS)?, &state.table, [""])?;
-        tensors::check_digest(&path.join(STATE), &state.table, &parameters, &state.digest)?;
-        let [first, second] = tensors::read(&path.join(ADAM), &verified(ADAM)?, &state.table, ["first.", "second."])?;
+        let [parameters] =
+            tensors::read(&verified(PARAMETERS)?, &state.table, [""]).map_err(at(&path.join(PARAMETERS)))?;
+        tensors::check_digest(&state.table, &parameters, &state.digest).map_err(at(&path.join(STATE)))?;
+        let [first, second] =
+            tensors::read(&verified(ADAM)?, &state.table, ["first.", "second."]).map_err(at(&path.join(ADAM)))?;
         let mailbox = unpack(path, MAILBOX, &verified(MAILBOX)?)?;
-        let model = parse_policy(&path.join(MODEL), parse(path, MODEL, &verified(MODEL)?)?)?;
+        let model = parse_policy(parse(path, MODEL, &verified(MODEL)?)?).map_err(at(&path.join(MODEL)))?;
         state.state.check(&model).map_err(|error| damaged(path, STATE, error.to_string()))?;
         let adam = Adam { first, second, n_steps: state.adam_steps };
         let StateFile { table, settings, state, .. } = state;
@@ -221,14 +220,6 @@ fn parse<T: for<'de> Deserialize<'de>>(folder: &Path, name: &str, bytes: &[u8]) 
         let line: String = line.trim().chars().filter(|c| !c.is_control()).take(80).collect();
         damaged(folder, name, format!("{error}: `{line}`"))
     })
-}
-
-/// Parses and checks the configuration of a policy.
-pub(crate) fn parse_policy(path: &Path, value: Value) -> Result<Valid<PolicyConfig>, CheckpointError> {
-    let unknown =
-        |error: serde_json::Error| CheckpointError::UnknownPolicy { path: path.into(), reason: error.to_string() };
-    let policy: PolicyConfig = serde_json::from_value(value).map_err(unknown)?;
-    Valid::new(policy).map_err(|error| CheckpointError::Damaged { path: path.into(), reason: error.to_string() })
 }
 
 fn pack<'t>(trajectories: impl IntoIterator<Item = &'t Trajectory>) -> Vec<u8> {

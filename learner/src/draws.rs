@@ -1,7 +1,5 @@
 //! What the mixture head drew in an update, and whether it did what it was for.
 
-use std::collections::BTreeMap;
-
 use blueprints::{BlockIdx, Blueprint};
 use policy::mixture::ActionRows;
 use policy::proposals::{Kind, Slot};
@@ -51,22 +49,20 @@ fn connection(scene: &Scene, blueprint: &Blueprint, a: BlockIdx, b: BlockIdx) ->
 
 /// Summarizes the draws of all samples, and the entropies of their choices.
 pub(crate) fn metrics(draws: &[Draws], entropies: &[[f32; 3]]) -> ProposalMetrics {
-    let mut kinds: BTreeMap<String, KindMetrics> = BTreeMap::new();
-    let mut n_successes: BTreeMap<Kind, u64> = BTreeMap::new();
-    for (slot, did) in draws.iter().flat_map(|draws| draws.slots.iter().zip(draws.did)) {
-        let Some(kind) = slot.map(Slot::kind) else { continue };
-        let found = kinds.entry(kind.name().to_owned()).or_default();
-        found.n_draws += 1;
-        found.n_tries += u64::from(did.is_some());
-        *n_successes.entry(kind).or_default() += u64::from(did == Some(true));
-    }
-    let n_draws: u64 = kinds.values().map(|kind| kind.n_draws).sum();
-    for kind in Kind::ALL {
-        let found = kinds.entry(kind.name().to_owned()).or_default();
-        let n_successes = n_successes.get(&kind).copied().unwrap_or(0);
-        found.share = found.n_draws as f64 / n_draws.max(1) as f64;
-        found.success = (found.n_tries > 0).then(|| n_successes as f64 / found.n_tries as f64);
-    }
+    let drawn = draws.iter().flat_map(|draws| draws.slots.into_iter().zip(draws.did));
+    let drawn: Vec<_> = drawn.filter_map(|(slot, did)| Some((slot?.kind(), did))).collect();
+    let of_kind = |kind: Kind| {
+        let did: Vec<_> = drawn.iter().filter(|(of, _)| *of == kind).map(|(_, did)| *did).collect();
+        let tries: Vec<bool> = did.iter().copied().flatten().collect();
+        let n_successes = tries.iter().filter(|succeeded| **succeeded).count();
+        KindMetrics {
+            n_draws: did.len() as u64,
+            n_tries: tries.len() as u64,
+            share: did.len() as f64 / drawn.len().max(1) as f64,
+            success: (!tries.is_empty()).then(|| n_successes as f64 / tries.len() as f64),
+        }
+    };
+    let kinds = Kind::ALL.into_iter().map(|kind| (kind.name().to_owned(), of_kind(kind))).collect();
     let mean = |part: usize| {
         let made = draws.iter().zip(entropies).filter(|(draws, _)| !draws.rows.all()[part].is_empty());
         let (n, total) = made.fold((0_u64, 0.0), |(n, total), (_, of)| (n + 1, total + f64::from(of[part])));
@@ -92,10 +88,8 @@ mod tests {
         let mut wrong = right;
         wrong.relative.offset_half_units[0] += 1;
         let other = BlockIdx::all().find(|block| !blueprint.contains(*block)).unwrap();
-        let of = |kind, partner| Slot::paired(kind, partner);
-        let done = Some(true);
-        let not = Some(false);
-        let nothing = None;
+        let of = Slot::paired;
+        let [done, not, nothing] = [Some(true), Some(false), None];
         for (slot, before, after, expected) in [
             (of(Kind::Join, b), None, Some(right), done),
             (of(Kind::Join, b), Some(wrong), Some(right), done),

@@ -2,8 +2,8 @@
 
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use proto::{
-    Action, ActorId, CanonicalSettings, Gripper, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition,
-    Weights, WeightsVersion,
+    Action, ActorId, CanonicalSettings, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, Weights,
+    WeightsVersion,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -33,7 +33,6 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
             disturbance: None,
         })
         .collect();
-    let assignment: Vec<BlockIdx> = BlockIdx::all().collect();
     Trajectory {
         actor: ActorId::try_from("fixture".to_owned()).unwrap(),
         epoch: 0,
@@ -42,7 +41,7 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
         settings_hash: CanonicalSettings::default().hash(),
         task: Task {
             blueprint: blueprint_id(),
-            assignment: assignment.try_into().unwrap(),
+            assignment: BlockIdx::array(|block| block),
             start: Start::Scattered,
             seed: 1,
         },
@@ -57,16 +56,10 @@ pub(crate) fn random_trajectory(n_steps: usize, version: u64, rng: &mut ChaCha8R
 
 /// Returns a scene with blocks at random positions on the ground, none of them held.
 pub(crate) fn scene(rng: &mut ChaCha8Rng) -> Scene {
-    Scene {
-        blocks: std::array::from_fn(|_| Pose {
-            position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
-            orientation: [0.0, 0.0, 0.0, 1.0],
-        }),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE); 2],
-        n_heavy_contacts: 0,
-    }
+    Scene::at_rest(std::array::from_fn(|_| Pose {
+        position: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.05],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+    }))
 }
 
 fn action(rng: &mut ChaCha8Rng) -> Action {

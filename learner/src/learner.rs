@@ -1,27 +1,24 @@
 //! The synchronous core of the learner: trajectories in, weights out.
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog};
 use policy::device::{DeviceError, DeviceKind};
 use policy::normalization::FeatureMoments;
-use policy::{Policy, PolicyConfig, PolicyError};
+use policy::{Model, Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::PpoMetrics;
-use proto::{CanonicalSettings, Normalization, Refusal, Trajectory, Valid, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, Trajectory, Valid, Weights, WeightsVersion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate};
 use crate::admission::{ActingLimits, Admission};
 use crate::batch::Batch;
-use crate::checkpoint::{Checkpoint, CheckpointError, ParameterInfo};
+use crate::checkpoint::{Checkpoint, CheckpointError};
 use crate::config::{LearnerConfig, LrSchedule, OptimizerConfig};
 use crate::curriculum::Curriculum;
-use crate::episodes::EpisodeTally;
 use crate::mailbox::{Mailbox, MailboxCounts};
-use crate::model::Model;
 use crate::normalization::ValueStatistics;
 use crate::ppo::{Ppo, Trained};
 use crate::state::LearnerState;
@@ -132,11 +129,11 @@ impl Learner {
             n_feature_scenes: 0,
             values: ValueStatistics::default(),
             mailbox: MailboxCounts::default(),
-            normalization: Normalization { value_std: 1.0, ..Normalization::default() },
+            normalization: Normalization::default(),
         };
         let mailbox = Arc::new(Mailbox::new(setup.config.mailbox.clone(), setup.admission()));
         let n_threads = setup.config.n_threads.unwrap_or_else(|| match setup.device {
-            DeviceKind::Cpu => n_cores(),
+            DeviceKind::Cpu => std::thread::available_parallelism().map_or(1, usize::from),
             DeviceKind::Gpu => 1,
         });
         let ppo = Ppo::new(&setup.policy, setup.seed, &device, n_threads);
@@ -144,10 +141,9 @@ impl Learner {
         if n_parameters > MAX_PARAMETERS {
             return Err(LearnerError::TooLarge(n_parameters));
         }
-        let init = setup.init.clone();
         let tried = Policy::new(&setup.policy);
         let mut learner = Self { ppo, state, mailbox, n_unmade: 0, tried, n_refused: 0, setup };
-        if let Some(model) = init {
+        if let Some(model) = learner.setup.init.clone() {
             learner.start_from(&model)?;
         }
         Ok(learner)
@@ -163,7 +159,7 @@ impl Learner {
         let unfit = |error: &dyn std::fmt::Display| LearnerError::Init(error.to_string());
         // Checks the numbers; the parameters' names and order are checked below.
         Policy::with_weights(&model.policy, &model.weights).map_err(|error| unfit(&error))?;
-        if model.table() != self.table() {
+        if model.table != self.ppo.table() {
             return Err(unfit(&"it has other parameters, or the same in another order"));
         }
         let Weights { parameters, normalization, .. } = &model.weights;
@@ -189,7 +185,7 @@ impl Learner {
         if let Some(difference) = learner.setup.policy.network_difference(&checkpoint.model) {
             return mismatch(&difference.between("there", "in this run"));
         }
-        if checkpoint.table != learner.table() {
+        if checkpoint.table != learner.ppo.table() {
             return mismatch("the network has other parameters");
         }
         let tasks = |state: &LearnerState| state.curriculum.tasks().keys().cloned().collect::<Vec<_>>();
@@ -214,23 +210,9 @@ impl Learner {
         Ok(learner)
     }
 
-    /// Puts a trajectory into the mailbox, even beyond its capacity: whoever makes trajectories between updates could
-    /// only throw away what does not fit.
-    ///
-    /// # Errors
-    /// The reason for the refusal, which the mailbox counts.
-    pub fn ingest(&self, trajectory: Trajectory) -> Result<(), Refusal> {
-        self.mailbox.push_beyond_capacity(trajectory)
-    }
-
     /// Returns the mailbox, which other threads fill.
     pub fn mailbox(&self) -> Arc<Mailbox> {
         self.mailbox.clone()
-    }
-
-    /// Returns whether the mailbox holds enough steps for an update.
-    pub fn ready(&self) -> bool {
-        self.mailbox.n_steps() >= self.setup.config.batch_size
     }
 
     /// Records how episodes ended.
@@ -264,11 +246,11 @@ impl Learner {
     }
 
     /// Counts an update, and tells the mailbox of its weights.
-    pub(crate) fn count(&mut self, n_steps: u64, episodes: &EpisodeTally, batch: &Batch) {
+    pub(crate) fn count(&mut self, n_steps: u64, n_episodes: u64, batch: &Batch) {
         self.n_unmade += batch.refused.len() as u64;
         self.state.n_updates += 1;
         self.state.n_env_steps += n_steps;
-        self.state.n_episodes += episodes.n_episodes();
+        self.state.n_episodes += n_episodes;
         self.mailbox.set_version(self.state.version);
     }
 
@@ -296,27 +278,16 @@ impl Learner {
     /// Returns everything needed to resume.
     pub fn checkpoint(&self) -> Checkpoint {
         let (counts, mailbox) = self.mailbox.snapshot();
+        let (parameters, adam) = self.ppo.trained();
         Checkpoint {
             state: LearnerState { mailbox: counts, ..self.state.clone() },
             model: self.setup.policy.clone(),
             settings: self.setup.settings.clone(),
-            table: self.table(),
-            parameters: self.ppo.parameters().to_vec(),
-            adam: self.ppo.adam().clone(),
+            table: self.ppo.table().to_vec(),
+            parameters,
+            adam,
             mailbox,
         }
-    }
-
-    /// Writes a checkpoint to `dir` and returns its path; see [`Checkpoint::write`].
-    ///
-    /// # Errors
-    /// If the file system returns an error.
-    pub fn save(&self, dir: &Path) -> Result<PathBuf, CheckpointError> {
-        self.checkpoint().write(dir)
-    }
-
-    fn table(&self) -> Vec<ParameterInfo> {
-        self.ppo.table().iter().map(ParameterInfo::from).collect()
     }
 
     /// Returns the feature statistics updated with the raw features of a batch, and its number of scenes; `None` if the
@@ -350,8 +321,4 @@ fn resumed_rate(saved: &LearnerState, config: &OptimizerConfig) -> LearningRate 
         LrSchedule::Adaptive(rule) => LearningRate(saved.learning_rate.0.clamp(rule.min, rule.max)),
         LrSchedule::Fixed(_) | LrSchedule::Line(_) => saved.learning_rate,
     }
-}
-
-fn n_cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }

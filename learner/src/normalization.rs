@@ -6,9 +6,8 @@
 //! et al., "Learning values across many orders of magnitude", proposition 1).
 
 use proto::InvalidSetting;
+use proto::setting::{Setting, above};
 use serde::{Deserialize, Serialize};
-
-use crate::numbers::{finite, not_negative, positive};
 
 /// Weight of a new batch in the running statistics of the value targets.
 const VALUE_RATE: f64 = 0.1;
@@ -45,9 +44,9 @@ impl ValueStatistics {
     /// # Errors
     /// Returns the first number that no targets have.
     pub(crate) fn check(&self, path: &str) -> Result<(), InvalidSetting> {
-        finite(&format!("{path}.mean"), self.mean)?;
-        positive(&format!("{path}.std"), self.std)?;
-        not_negative(&format!("{path}.mean_square"), self.mean_square)
+        self.mean.check_in(&format!("{path}.mean"), &(..))?;
+        self.std.check_in(&format!("{path}.std"), &above(0.0))?;
+        self.mean_square.check_in(&format!("{path}.mean_square"), &(0.0..))
     }
 
     /// Returns the statistics after a batch of targets, which has weight 0.1, or more while few batches have been seen.

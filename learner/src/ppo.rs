@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use burn::tensor::Device;
 use policy::PolicyConfig;
-use policy::parameters::{ParameterError, ParameterSpec};
+use policy::parameters::{self, ParameterError, ParameterSpec};
 use proto::metrics::{PpoMetrics, ProposalMetrics};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -36,12 +36,8 @@ pub(crate) struct Ppo {
     value_head: ValueHead,
 }
 
-/// What gradient steps change in the network and its optimizer.
-#[derive(Debug)]
-pub(crate) struct Trained {
-    parameters: Vec<f32>,
-    adam: Adam,
-}
+/// What gradient steps change: the parameters and the optimizer.
+pub(crate) type Trained = (Vec<f32>, Adam);
 
 /// The metrics of an update.
 #[derive(Debug)]
@@ -106,25 +102,20 @@ impl Ppo {
         Ok(())
     }
 
-    /// Returns a copy, so that an update can be taken back.
+    /// Returns a copy, for a checkpoint, or so that an update can be taken back.
     pub(crate) fn trained(&self) -> Trained {
-        Trained { parameters: self.parameters.clone(), adam: self.adam.clone() }
+        (self.parameters.clone(), self.adam.clone())
     }
 
     /// Takes an update back.
     pub(crate) fn restore_trained(&mut self, before: Trained) {
-        self.parameters = before.parameters;
-        self.adam = before.adam;
+        (self.parameters, self.adam) = before;
         self.load();
     }
 
     /// Returns the parameters, flat.
     pub(crate) fn parameters(&self) -> &[f32] {
         &self.parameters
-    }
-
-    pub(crate) fn adam(&self) -> &Adam {
-        &self.adam
     }
 
     /// Returns the names and shapes of the parameters.
@@ -141,15 +132,10 @@ impl Ppo {
             LrSchedule::Line(line) => state.learning_rate.0 = line.points.at(state.n_env_steps),
             LrSchedule::Adaptive(_) => {}
         }
-        if batch.n_samples() > 0 {
-            return self.update_with(batch, config, state);
+        if batch.n_samples() == 0 {
+            let ppo = PpoMetrics { learning_rate: f64::from(state.learning_rate.0), ..PpoMetrics::default() };
+            return Learned { ppo, proposals: None };
         }
-        let ppo = PpoMetrics { learning_rate: f64::from(state.learning_rate.0), ..PpoMetrics::default() };
-        Learned { ppo, proposals: None }
-    }
-
-    /// Runs an update on a batch with samples.
-    fn update_with(&mut self, batch: &mut Batch, config: &LearnerConfig, state: &mut LearnerState) -> Learned {
         let terms = config.loss.at(state.n_env_steps);
         let mut before = self.workers.evaluate(batch);
         if batch.refuse(&before.values, &before.log_probs) > 0 {
@@ -285,16 +271,11 @@ impl ValueHead {
     /// Finds the last kernel named `value.mlp.*`, and its bias.
     fn find(table: &[ParameterSpec]) -> Self {
         let mut found = Self { weights: 0..0, bias: 0 };
-        let mut at = 0;
-        for spec in table {
-            let range = at..at + spec.len();
-            at = range.end;
-            if spec.name.starts_with("value.mlp.") {
-                if spec.name.ends_with(".w") {
-                    found.weights = range;
-                } else {
-                    found.bias = range.start;
-                }
+        for (spec, span) in parameters::spans(table).filter(|(spec, _)| spec.name.starts_with("value.mlp.")) {
+            if spec.name.ends_with(".w") {
+                found.weights = span;
+            } else {
+                found.bias = span.start;
             }
         }
         found
@@ -335,8 +316,7 @@ mod tests {
     #[test]
     fn a_segment_without_a_finite_log_probability_is_left_out_and_spoils_nothing() {
         for move_head in [MoveHead::Gaussian, MoveHead::Mixture] {
-            let mut setup = small_setup(1);
-            setup.policy = setup.policy.with(|c| c.network.move_head = move_head).unwrap();
+            let setup = small_setup(1).with_policy(|c| c.network.move_head = move_head);
             let weights = Learner::new(setup.clone()).unwrap().weights();
             let drawn = bandit(&setup, &weights, 128, &mut ChaCha8Rng::seed_from_u64(2));
             let update = |drawn: &[Trajectory]| {

@@ -12,7 +12,7 @@ use bus::{Bus, MetricsPublisher, WeightsPublisher};
 use proto::metrics::LearnerMetrics;
 use proto::{Role, WeightsVersion, keys};
 use runlog::{MetricsWriter, RunPaths};
-use serde_json::Value;
+use serde::Deserialize;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -165,15 +165,18 @@ fn start(setup: LearnerSetup, resume: Option<&Path>, checkpoints: &Path) -> anyh
 
 /// Returns how many seconds the run in a folder had taken by `n_env_steps` environment steps; 0 if unknown.
 fn elapsed_before(run: &Path, n_env_steps: u64) -> f64 {
-    let until_then = |line: &Value| line["n_env_steps"].as_u64().is_some_and(|steps| steps <= n_env_steps);
-    let last = match runlog::last_line(&RunPaths::new(run), keys::METRICS_LEARNER, until_then) {
-        Ok(last) => last,
-        Err(error) => {
-            tracing::debug!(%error, "how long the run took so far is not known");
-            None
-        }
-    };
-    // Older metrics have only `elapsed_s`.
-    let seconds = |key: &str| last.as_ref().and_then(|line| line[key].as_f64());
-    seconds("run_elapsed_s").or_else(|| seconds("elapsed_s")).unwrap_or_default()
+    #[derive(Deserialize)]
+    struct Update {
+        n_env_steps: u64,
+        elapsed_s: f64,
+        /// Older metrics have only `elapsed_s`.
+        run_elapsed_s: Option<f64>,
+    }
+    let read = runlog::lines(&RunPaths::new(run), keys::METRICS_LEARNER, |update: &Update| update.n_env_steps);
+    let (updates, _) = read.unwrap_or_else(|error| {
+        tracing::debug!(%error, "how long the run took so far is not known");
+        Default::default()
+    });
+    let last = updates.iter().rfind(|update| update.n_env_steps <= n_env_steps);
+    last.map_or(0.0, |update| update.run_elapsed_s.unwrap_or(update.elapsed_s))
 }

@@ -1,7 +1,9 @@
 //! The state of a learner except its network and optimizer, stored in `state.json`.
 
 use policy::PolicyConfig;
-use policy::normalization::FeatureMoments;
+use policy::model::NormalizationFields;
+use policy::normalization::{self, FeatureMoments};
+use proto::setting::Setting;
 use proto::{CanonicalSettings, InvalidSetting, Normalization, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -10,7 +12,6 @@ use crate::adam::LearningRate;
 use crate::curriculum::Curriculum;
 use crate::mailbox::MailboxCounts;
 use crate::normalization::ValueStatistics;
-use crate::numbers::{finite, not_negative, positive};
 
 /// Counters, statistics, curriculum, and random number generator. Fields of earlier versions are ignored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,13 +64,13 @@ impl LearnerState {
             let key = format_args!("state.{key}");
             InvalidSetting::check(key, count, count <= MAX_COUNT, format_args!("at most {MAX_COUNT}"))?;
         }
-        not_negative("state.learning_rate", self.learning_rate.0)?;
+        self.learning_rate.0.check_in("state.learning_rate", &(0.0..))?;
         self.curriculum.check("state.curriculum")?;
         let sizes = model.sizes();
         let widths = [sizes.node, sizes.edge, sizes.global];
         self.features.check("state.features", widths)?;
         self.values.check("state.values")?;
-        check_normalization("state.normalization", &self.normalization, widths)
+        normalization::check("state.normalization", &self.normalization, widths)
     }
 
     /// Returns the frozen policy with these `parameters`.
@@ -84,28 +85,4 @@ impl LearnerState {
             task_probabilities: self.curriculum.probabilities(),
         }
     }
-}
-
-fn check_normalization(path: &str, normalization: &Normalization, widths: [usize; 3]) -> Result<(), InvalidSetting> {
-    let Normalization { feature_mean, feature_std, value_mean, value_std } = normalization;
-    for (k, width) in widths.into_iter().enumerate() {
-        for (key, n) in [("feature_mean", feature_mean[k].len()), ("feature_std", feature_std[k].len())] {
-            let fits = n == width || (n == 0 && feature_mean[k].len() == feature_std[k].len());
-            InvalidSetting::check(format_args!("{path}.{key}[{k}]"), format_args!("{n} numbers"), fits, width)?;
-        }
-        feature_mean[k].iter().try_for_each(|mean| finite(&format!("{path}.feature_mean[{k}]"), *mean))?;
-        feature_std[k].iter().try_for_each(|std| positive(&format!("{path}.feature_std[{k}]"), *std))?;
-    }
-    finite(&format!("{path}.value_mean"), *value_mean)?;
-    positive(&format!("{path}.value_std"), *value_std)
-}
-
-/// The serde form of [`Normalization`], which itself only has a wire form.
-#[derive(Serialize, Deserialize)]
-#[serde(remote = "Normalization", deny_unknown_fields)]
-pub(crate) struct NormalizationFields {
-    feature_mean: [Vec<f32>; 3],
-    feature_std: [Vec<f32>; 3],
-    value_mean: f32,
-    value_std: f32,
 }

@@ -21,7 +21,7 @@ use proto::Trajectory;
 pub(crate) use self::output::{Clock, Output, Publication, Saving};
 pub use self::output::{SAVE_RETRY, Summary};
 use crate::batch::Batch;
-use crate::episodes::EpisodeTally;
+use crate::episodes::episode_metrics;
 use crate::learner::Learner;
 use crate::metrics::UpdateResult;
 use crate::source::Source;
@@ -69,7 +69,8 @@ impl Trainer {
         let Self { learner, source, output } = self;
         let mut n_refused = 0;
         source.restart();
-        output.publish_first();
+        // The weights that the run begins with.
+        output.send(None);
         while let Some(n_steps) = output.next_steps(learner) {
             let trajectories = source.next(&learner.mailbox(), &output.newest, n_steps)?;
             output.start_update();
@@ -96,13 +97,13 @@ impl Learner {
         if trajectories.is_empty() {
             return None;
         }
-        let episodes = EpisodeTally::of(&trajectories);
+        let episodes = episode_metrics(&trajectories);
         let n_steps = trajectories.iter().map(|trajectory| trajectory.transitions.len() as u64).sum();
         let mut trial = Trial::new(&trajectories, &self.setup.catalog);
         self.record(&trajectories);
         let before = (self.ppo.trained(), self.state.clone());
 
-        let mut batch = self.batch(trajectories);
+        let mut batch = Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy);
         // The statistics come from raw features and take effect with the next weights.
         let statistics = self.statistics_after(&batch);
         normalize(&mut batch.features, &self.state.normalization);
@@ -115,16 +116,12 @@ impl Learner {
         if refused.is_some() {
             self.take_back(before);
         }
-        self.count(n_steps, &episodes, &batch);
-        Some(self.result(&batch, n_steps, learned, episodes.metrics(), refused))
+        self.count(n_steps, episodes.success.n_episodes, &batch);
+        Some(self.result(&batch, n_steps, learned, episodes, refused))
     }
 
     /// Runs one [update](Self::update) on the oldest trajectories of the mailbox; `None` if there are not enough.
     pub fn update_from_mailbox(&mut self) -> Option<UpdateResult> {
         self.update(self.mailbox.take(self.setup.config.batch_size))
-    }
-
-    pub(crate) fn batch(&self, trajectories: Vec<Trajectory>) -> Batch {
-        Batch::new(trajectories, self.state.version, &self.setup.catalog, &self.setup.policy)
     }
 }

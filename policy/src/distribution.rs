@@ -13,6 +13,9 @@ use rand_distr::{Distribution as _, StandardNormal};
 /// Logit of a block that may not be chosen.
 pub const MASKED_LOGIT: f32 = -1e9;
 
+/// Entries of a move.
+pub(crate) const MOVE: usize = 6;
+
 /// ln(2π) / 2
 pub(crate) const HALF_LN_2PI: f32 = 0.918_938_5;
 
@@ -35,7 +38,7 @@ impl<'a> ActionDistribution<'a> {
     pub fn new(logits: &'a [f32], locs: &'a [f32], scales: &'a [f32]) -> Self {
         let n_grippers = logits.len() / N_BLOCKS;
         assert!(logits.len() == n_grippers * N_BLOCKS && (1..=N_GRIPPERS).contains(&n_grippers), "length of logits");
-        assert!(locs.len() == N_BLOCKS * 6 && scales.len() == N_BLOCKS * 6, "length of locs and scales");
+        assert!(locs.len() == N_BLOCKS * MOVE && scales.len() == N_BLOCKS * MOVE, "length of locs and scales");
         Self { logits, locs, scales }
     }
 
@@ -81,23 +84,18 @@ impl<'a> ActionDistribution<'a> {
     }
 
     fn move_log_prob(&self, block: usize, value: &Move) -> f32 {
-        let at = block * 6;
+        let at = block * MOVE;
         let one = |k: usize| {
             let scale = self.scales[at + k];
             let z = (value[k] - self.locs[at + k]) / scale;
             -0.5 * z * z - scale.ln() - HALF_LN_2PI
         };
-        (0..6).map(one).sum()
+        (0..MOVE).map(one).sum()
     }
 
     fn moves(&self, mut entry: impl FnMut(f32, f32) -> f32) -> [Move; N_BLOCKS] {
-        let mut moves = [[0.0; 6]; N_BLOCKS];
-        for (b, row) in moves.iter_mut().enumerate() {
-            for (k, value) in row.iter_mut().enumerate() {
-                *value = entry(self.locs[b * 6 + k], self.scales[b * 6 + k]);
-            }
-        }
-        moves
+        let mut entry_at = |at: usize| entry(self.locs[at], self.scales[at]);
+        std::array::from_fn(|b| std::array::from_fn(|k| entry_at(b * MOVE + k)))
     }
 }
 

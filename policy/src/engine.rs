@@ -1,14 +1,14 @@
 //! Runs the network in the fastest form for its device: [`crate::cpu`] for the graph encoder on a CPU, burn for the
 //! non-graph baseline and for GPUs.
 
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use crate::FeatureBatch;
 use crate::config::PolicyConfig;
 use crate::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use crate::mixture::{ActionRows, DrawLogits, DrawNumbers};
 use crate::network::{BatchTensors, Folded, MoveTensors, Network, NetworkOutput};
-use crate::parameters::{self, ParameterError, ParameterSpec};
+use crate::parameters::{self, ParameterError, ParameterSpec, gradient, leaf, to_vec};
 
 /// A network with parameters.
 #[derive(Debug)]
@@ -53,7 +53,7 @@ impl Engine {
         Self { table, n_grippers, device: device.clone(), with_gradients, form }
     }
 
-    /// Returns the name, shape, and initializer of every parameter, in the order of the flat vector.
+    /// Returns the name and shape of every parameter, in the order of the flat vector.
     pub fn table(&self) -> &[ParameterSpec] {
         &self.table
     }
@@ -97,8 +97,7 @@ impl Engine {
                 Form::Burn { folded: Box::new(plain.fold()), plain: Box::new(plain), tracked }
             }
         };
-        let (table, device) = (self.table.clone(), self.device.clone());
-        Ok(Self { table, n_grippers: self.n_grippers, device, with_gradients: self.with_gradients, form })
+        Ok(Self { table: self.table.clone(), device: self.device.clone(), form, ..*self })
     }
 
     /// Computes the outputs for `rows` of a batch of normalized features.
@@ -127,23 +126,11 @@ impl Engine {
             Form::Cpu { network, tape, .. } => {
                 let device = self.device.clone().autodiff();
                 let outputs = network.forward(batch, rows, tape);
-                let leaves = outputs.to_tensors(self.n_grippers, &device);
-                let draws = (!draws.is_empty())
-                    .then(|| DrawNumbers::new(draws, &outputs.readouts).to_tensors(draws.len(), &device));
-                let leaves = NetworkOutput {
-                    moves: leaves.moves.map(|MoveTensors { locs, scales }| MoveTensors {
-                        locs: locs.require_grad(),
-                        scales: scales.require_grad(),
-                    }),
-                    logits: leaves.logits.require_grad(),
-                    values: leaves.values.require_grad(),
-                    readouts: None,
-                    draws: draws.map(|DrawLogits { first, blocks, second }| DrawLogits {
-                        first: first.require_grad(),
-                        blocks: blocks.require_grad(),
-                        second: second.require_grad(),
-                    }),
-                };
+                let mut leaves = outputs.to_tensors(self.n_grippers, &device);
+                if !draws.is_empty() {
+                    let logits = DrawNumbers::new(draws, &outputs.readouts);
+                    leaves.draws = Some(logits.to_tensors(draws.len(), &device));
+                }
                 (leaves.clone(), Leaves(Some(leaves)))
             }
             Form::Burn { tracked, .. } => {
@@ -174,19 +161,19 @@ impl Engine {
                 let readouts = &tape.outputs().readouts;
                 let by_readouts = match &leaves.draws {
                     Some(DrawLogits { first, blocks, second }) => {
-                        let by_logits = [first, blocks, second].map(|logits| leaf_gradient(logits, &mut gradients));
+                        let by_logits = [first, blocks, second].map(|logits| gradient(logits, &mut gradients));
                         DrawNumbers(by_logits).by_readouts(draws, readouts)
                     }
                     None => vec![0.0; readouts.len()],
                 };
                 let [locs, scales] = leaves.moves.as_ref().map_or_else(Default::default, |moves| {
-                    [&moves.locs, &moves.scales].map(|leaf| leaf_gradient(leaf, &mut gradients))
+                    [&moves.locs, &moves.scales].map(|leaf| gradient(leaf, &mut gradients))
                 });
                 let by_output = Outputs {
                     locs,
                     scales,
-                    logits: leaf_gradient(&leaves.logits, &mut gradients),
-                    values: leaf_gradient(&leaves.values, &mut gradients),
+                    logits: gradient(&leaves.logits, &mut gradients),
+                    values: gradient(&leaves.values, &mut gradients),
                     readouts: by_readouts,
                 };
                 network.backward(tape, &by_output, &mut spare);
@@ -226,29 +213,17 @@ impl From<NetworkOutput> for Outputs {
 }
 
 impl Outputs {
-    /// Converts the outputs to tensors, except the read-outs.
+    /// Converts the outputs to tensors, except the read-outs. On a device with autodiff, they are leaves of its graph.
     pub fn to_tensors(&self, n_grippers: usize, device: &Device) -> NetworkOutput {
         let n = self.values.len();
-        let cube =
-            |values: &[f32], shape: [usize; 3]| Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
+        let cube = |values: &[f32], shape: [usize; 3]| leaf(values, shape, device);
         NetworkOutput {
             moves: (!self.locs.is_empty())
                 .then(|| MoveTensors { locs: cube(&self.locs, [n, 16, 6]), scales: cube(&self.scales, [n, 16, 6]) }),
             logits: cube(&self.logits, [n, n_grippers, 16]),
-            values: Tensor::from_data(TensorData::new(self.values.clone(), [n]), device),
+            values: leaf(&self.values, [n], device),
             readouts: None,
             draws: None,
         }
     }
-}
-
-fn leaf_gradient<const D: usize>(leaf: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
-    match leaf.grad_remove(gradients) {
-        Some(gradient) => to_vec(gradient),
-        None => vec![0.0; leaf.shape().num_elements()],
-    }
-}
-
-fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("the network computes in f32")
 }

@@ -49,9 +49,9 @@
 //!
 //! The network reads the one-hot from the last 16 entries of each group.
 
-use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
+use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use nalgebra::{Matrix3, Vector3};
-use proto::{Gripper, N_GRIPPERS, Observation, Scene};
+use proto::{Gripper, Observation};
 
 use crate::config::{FeatureConfig, PolicyConfig};
 use crate::geometry::{Frame, matrix, rotation, rotation_vector};
@@ -124,7 +124,7 @@ pub fn write_features(
     edges: &mut [f32],
     globals: &mut [f32],
 ) {
-    let Observation { scene, blueprint, .. } = *observation;
+    let scene = observation.scene;
     let sizes = FeatureSizes::new(config);
     assert_eq!(nodes.len(), N_BLOCKS * sizes.node, "length of the node features");
     assert_eq!(edges.len(), N_EDGES * sizes.edge, "length of the edge features");
@@ -133,32 +133,25 @@ pub fn write_features(
     edges.fill(0.0);
     let frames = scene.blocks.each_ref().map(Frame::new);
     for (block, node) in BlockIdx::all().zip(nodes.chunks_exact_mut(sizes.node)) {
-        write_node(scene, blueprint, config, block, &frames[block.get()], &mut Writer::new(node));
+        write_node(observation, config, block, &frames[block.get()], &mut Writer::new(node));
     }
-    write_edges(scene, blueprint, config, &frames, edges, sizes.edge);
+    write_edges(observation, config, &frames, edges);
     for (gripper, part) in scene.grippers.iter().zip(globals.chunks_exact_mut(GRIPPER_PART)) {
         write_gripper(gripper.as_ref(), part);
     }
 }
 
-fn write_node(
-    scene: &Scene,
-    blueprint: &Blueprint,
-    config: &FeatureConfig,
-    block: BlockIdx,
-    frame: &Frame,
-    to: &mut Writer<'_>,
-) {
+fn write_node(seen: &Observation<'_>, config: &FeatureConfig, block: BlockIdx, frame: &Frame, to: &mut Writer<'_>) {
     to.number(frame.position.z / POSITION_SCALE_M);
-    for g in 0..N_GRIPPERS {
-        let held = scene.grippers[g].as_ref().and_then(|gripper| gripper.held);
+    for gripper in &seen.scene.grippers {
+        let held = gripper.as_ref().and_then(|gripper| gripper.held);
         to.bit(held == Some(block));
     }
     if config.up_axis {
         to.vector(&up_axis(&frame.axes));
     }
     if config.membership {
-        to.bit(blueprint.contains(block));
+        to.bit(seen.blueprint.contains(block));
     }
     if config.block_shape {
         to.vector(&(Vector3::from(Inventory::standard().half_extents_m(block)) / EXTENT_SCALE_M));
@@ -170,14 +163,9 @@ fn pairs() -> impl Iterator<Item = (BlockIdx, BlockIdx)> {
     BlockIdx::all().flat_map(|j| BlockIdx::all().filter(move |i| *i != j).map(move |i| (j, i)))
 }
 
-fn write_edges(
-    scene: &Scene,
-    blueprint: &Blueprint,
-    config: &FeatureConfig,
-    frames: &[Frame; N_BLOCKS],
-    edges: &mut [f32],
-    ed: usize,
-) {
+fn write_edges(seen: &Observation<'_>, config: &FeatureConfig, frames: &[Frame; N_BLOCKS], edges: &mut [f32]) {
+    let Observation { scene, blueprint } = *seen;
+    let ed = FeatureSizes::new(config).edge;
     let mut connected = [[false; N_BLOCKS]; N_BLOCKS];
     for joint in &scene.joints {
         let (a, b) = (joint.a.get(), joint.b.get());
@@ -236,10 +224,8 @@ fn write_needed_move(
 fn mean_magnet(i: BlockIdx, j: BlockIdx, wanted: blueprints::RelativePlacement) -> Vector3<f32> {
     let inventory = Inventory::standard();
     let pairs = inventory.magnet_pairs(i, j, wanted);
-    let mut sum = Vector3::zeros();
-    for (magnet, _) in &pairs {
-        sum += Vector3::from(inventory.magnets(i)[*magnet].position_half_units.map(|x| x as f32));
-    }
+    let magnets = pairs.iter().map(|(magnet, _)| inventory.magnets(i)[*magnet].position_half_units);
+    let sum: Vector3<f32> = magnets.map(|position| Vector3::from(position.map(|x| x as f32))).sum();
     sum * (blueprints::UNIT_M / 2.0 / pairs.len().max(1) as f32)
 }
 

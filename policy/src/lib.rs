@@ -2,7 +2,7 @@
 //!
 //! Reading order: [`config`] → [`features`] → [`batch`] → [`network`] → [`cpu`] → [`engine`] → [`parameters`] →
 //! [`distribution`] (the Gaussian head) → [`proposals`] and [`mixture`] (the other head) → [`policy`] (inference) and
-//! [`loss_terms`] (the same distributions on tensors, for training).
+//! [`loss_terms`] (the same distributions on tensors, for training); [`model`] (a policy in a file).
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -16,6 +16,7 @@ pub mod features;
 mod geometry;
 pub mod loss_terms;
 pub mod mixture;
+pub mod model;
 pub mod network;
 pub mod normalization;
 pub mod parameters;
@@ -29,5 +30,6 @@ pub use config::{
 pub use device::{DeviceError, DeviceKind};
 pub use engine::{Engine, Leaves};
 pub use features::FeatureSizes;
+pub use model::{Model, ModelError};
 pub use network::{BatchTensors, MoveTensors, Network, NetworkOutput};
 pub use policy::{Attention, Policy, PolicyError, check_settings};

@@ -4,13 +4,10 @@ use blueprints::N_BLOCKS;
 use burn::tensor::{Bool, Device, Tensor, TensorData, activation};
 use proto::{Action, N_GRIPPERS};
 
-use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT};
+use crate::distribution::{HALF_LN_2PI, MASKED_LOGIT, MOVE};
 use crate::mixture::{ActionRows, Row};
 use crate::network::{MoveTensors, NetworkOutput};
 use crate::proposals::Slot;
-
-/// Entries of a move.
-const MOVE: usize = 6;
 
 /// Actions of a batch of B steps with G grippers, on a device.
 #[derive(Clone, Debug)]

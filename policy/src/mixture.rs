@@ -21,7 +21,7 @@ mod tensors;
 
 use std::ops::Range;
 
-use blueprints::{BlockIdx, N_BLOCKS};
+use blueprints::{BlockIdx, N_BLOCKS as N};
 
 use crate::proposals::{Kind, N_RELATION, Proposals, Slot};
 
@@ -29,7 +29,6 @@ pub use distribution::{DrawnAction, MixtureDistribution};
 pub use tensors::DrawLogits;
 pub(crate) use tensors::DrawNumbers;
 
-const N: usize = N_BLOCKS;
 /// Length of queries and keys.
 const D: usize = 16;
 const N_KINDS: usize = Kind::ALL.len();
@@ -158,7 +157,7 @@ impl Row {
     }
 
     /// Adds to the gradient of the read-outs, given that of the logits.
-    pub fn add_gradient(&self, readouts: &[f32], by_logit: &[f32], to: &mut [f32]) {
+    pub(crate) fn add_gradient(&self, readouts: &[f32], by_logit: &[f32], to: &mut [f32]) {
         let own = self.block * N_READOUTS;
         let query = own + self.query..own + self.query + D;
         for ((option, terms), &d) in self.each().zip(by_logit) {
@@ -275,15 +274,12 @@ impl ActionRows {
         };
         rows.blocks.second_block(proposals, first);
         match slots.get(1).copied().flatten() {
-            None => (block == first.block).then_some(rows),
-            Some(_) if block == first.block => None,
-            Some(slot) => {
-                if !is_offered(Draw { block, slot }) {
-                    return None;
-                }
+            None if block == first.block => Some(rows),
+            Some(slot) if block != first.block && is_offered(Draw { block, slot }) => {
                 rows.second.second_proposal(proposals, first, block);
                 Some(rows)
             }
+            _ => None,
         }
     }
 

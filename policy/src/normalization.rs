@@ -1,5 +1,6 @@
 //! Running statistics of features, and normalization, shared by actors, evaluator, and learner.
 
+use proto::setting::{Setting, above};
 use proto::{InvalidSetting, Normalization};
 use serde::{Deserialize, Serialize};
 
@@ -50,13 +51,9 @@ impl FeatureMoments {
             let n = mean.len();
             let fits = (n == width || n == 0) && squares.len() == n && is_bit.len() == n;
             InvalidSetting::check(&path, format_args!("{n} means"), fits, format_args!("{width} of each or none"))?;
-            let is_count = count.is_finite() && *count >= 0.0;
-            InvalidSetting::check(format_args!("{path}.count"), count, is_count, "at least 0 and finite")?;
-            for (mean, square) in mean.iter().zip(squares) {
-                InvalidSetting::check(format_args!("{path}.mean"), mean, mean.is_finite(), "a finite number")?;
-                let is_square = square.is_finite() && *square >= 0.0;
-                InvalidSetting::check(format_args!("{path}.squares"), square, is_square, "at least 0 and finite")?;
-            }
+            count.check_in(&format!("{path}.count"), &(0.0..))?;
+            mean.check_in(&format!("{path}.mean"), &(..))?;
+            squares.check_in(&format!("{path}.squares"), &(0.0..))?;
         }
         Ok(())
     }
@@ -91,6 +88,24 @@ impl Moments {
         let features = 0..self.mean.len();
         features.map(|k| if self.is_bit[k] { (0.0, 1.0) } else { (self.mean[k] as f32, std(k)) }).unzip()
     }
+}
+
+/// Checks the statistics of `widths` features; `path` is their key.
+///
+/// # Errors
+/// Returns the first number that cannot normalize anything, or the first list of another length.
+pub fn check(path: &str, normalization: &Normalization, widths: [usize; 3]) -> Result<(), InvalidSetting> {
+    let Normalization { feature_mean, feature_std, value_mean, value_std } = normalization;
+    for (k, width) in widths.into_iter().enumerate() {
+        for (key, n) in [("feature_mean", feature_mean[k].len()), ("feature_std", feature_std[k].len())] {
+            let fits = n == width || (n == 0 && feature_mean[k].len() == feature_std[k].len());
+            InvalidSetting::check(format_args!("{path}.{key}[{k}]"), format_args!("{n} numbers"), fits, width)?;
+        }
+        feature_mean[k].check_in(&format!("{path}.feature_mean[{k}]"), &(..))?;
+        feature_std[k].check_in(&format!("{path}.feature_std[{k}]"), &above(0.0))?;
+    }
+    value_mean.check_in(&format!("{path}.value_mean"), &(..))?;
+    value_std.check_in(&format!("{path}.value_std"), &above(0.0))
 }
 
 /// Replaces each feature by `(x − mean) / std`, clipped to ±[`MAX_NORMALIZED`], in each group that has statistics. The

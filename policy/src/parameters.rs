@@ -8,29 +8,29 @@
 use std::ops::Range;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
-use burn::tensor::{Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 /// Number of values that a digest takes at a time.
 const BLOCK: usize = 1024;
 
-/// Name, shape, and initializer of one parameter.
-#[derive(Clone, Debug, PartialEq)]
+/// Name and shape of one parameter.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct ParameterSpec {
     /// For example `layer0.message.w`.
     pub name: String,
     /// `[in, out]` for kernels, `[out]` for all others.
     pub shape: Vec<usize>,
-    /// Initial values.
-    pub initializer: Initializer,
 }
 
 /// Initial values of one parameter.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Initializer {
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Initializer {
     /// The same value everywhere.
     Constant(f32),
     /// Haiku's default for kernels: normal with σ = 1/√fan_in, truncated at 2σ. The variance is *not* corrected for the
@@ -64,13 +64,8 @@ pub enum ParameterError {
 
 impl ParameterSpec {
     /// Returns the number of values.
-    pub fn len(&self) -> usize {
+    pub fn n_values(&self) -> usize {
         self.shape.iter().product()
-    }
-
-    /// Whether the parameter has no values.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 }
 
@@ -79,7 +74,7 @@ pub fn spans(table: &[ParameterSpec]) -> impl Iterator<Item = (&ParameterSpec, R
     let mut end = 0;
     table.iter().map(move |spec| {
         let start = end;
-        end += spec.len();
+        end += spec.n_values();
         (spec, start..end)
     })
 }
@@ -113,14 +108,14 @@ pub(crate) fn check(values: &[f32], expected: usize) -> Result<(), ParameterErro
 /// bits. A name is preceded by its length in bytes.
 ///
 /// `values` must have as many entries as the tensors in `table`; others are not part of the digest.
-pub fn digest<'t>(table: impl IntoIterator<Item = (&'t str, &'t [usize])>, mut values: &[f32]) -> String {
+pub fn digest(table: &[ParameterSpec], mut values: &[f32]) -> String {
     let mut digest = Sha256::new();
-    for (name, shape) in table {
-        digest.update((name.len() as u64).to_le_bytes());
-        digest.update(name);
-        digest.update((shape.len() as u64).to_le_bytes());
-        shape.iter().for_each(|n| digest.update((*n as u64).to_le_bytes()));
-        let (own, rest) = values.split_at(shape.iter().product::<usize>().min(values.len()));
+    for spec in table {
+        digest.update((spec.name.len() as u64).to_le_bytes());
+        digest.update(&spec.name);
+        digest.update((spec.shape.len() as u64).to_le_bytes());
+        spec.shape.iter().for_each(|n| digest.update((*n as u64).to_le_bytes()));
+        let (own, rest) = values.split_at(spec.n_values().min(values.len()));
         for block in own.chunks(BLOCK) {
             let mut bytes = [0; 4 * BLOCK];
             bytes.as_chunks_mut::<4>().0.iter_mut().zip(block).for_each(|(place, x)| *place = x.to_le_bytes());
@@ -141,14 +136,14 @@ pub fn flatten_gradients(network: &impl Module, gradients: &mut Gradients) -> Ve
 }
 
 /// Draws initial values of the parameters in `table`, from one stream of random numbers per call.
-pub fn initial_values(table: &[ParameterSpec], seed: u64) -> Vec<f32> {
+pub(crate) fn initial_values(table: &[ParameterSpec], initializers: &[Initializer], seed: u64) -> Vec<f32> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut values = Vec::with_capacity(table.iter().map(ParameterSpec::len).sum());
-    for spec in table {
+    let mut values = Vec::with_capacity(table.iter().map(ParameterSpec::n_values).sum());
+    for (spec, initializer) in table.iter().zip(initializers) {
         let fan_in = spec.shape.first().copied().unwrap_or(1).max(1) as f32;
         let fan_out = spec.shape.last().copied().unwrap_or(1).max(1) as f32;
-        for _ in 0..spec.len() {
-            values.push(match spec.initializer {
+        for _ in 0..spec.n_values() {
+            values.push(match *initializer {
                 Initializer::Constant(x) => x,
                 Initializer::HaikuLinear => truncated_normal(&mut rng) / fan_in.sqrt(),
                 Initializer::FanIn(scale) => truncated_normal(&mut rng) * (scale / fan_in).sqrt() / TRUNCATED_STD,
@@ -180,7 +175,7 @@ struct Flatten {
 
 impl ModuleVisitor for Flatten {
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        append(&mut self.values, param.val());
+        self.values.extend(to_vec(param.val()));
     }
 }
 
@@ -191,17 +186,25 @@ struct FlattenGradients<'a> {
 
 impl ModuleVisitor for FlattenGradients<'_> {
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        let tensor = param.val();
-        match tensor.grad_remove(self.gradients) {
-            Some(gradient) => append(&mut self.values, gradient),
-            None => self.values.resize(self.values.len() + tensor.shape().num_elements(), 0.0),
-        }
+        self.values.extend(gradient(&param.val(), self.gradients));
     }
 }
 
-fn append<const D: usize>(values: &mut Vec<f32>, tensor: Tensor<D>) {
-    let data = tensor.into_data();
-    values.extend_from_slice(data.as_slice::<f32>().expect("all parameters are f32 tensors"));
+/// Copies values to a device. With autodiff, [`gradient`] can take the gradient with respect to the tensor.
+pub(crate) fn leaf<const D: usize>(values: &[f32], shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), device).set_require_grad(device.is_autodiff())
+}
+
+/// Takes the gradient of a tensor; 0 where the loss does not depend on it.
+pub(crate) fn gradient<const D: usize>(tensor: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
+    match tensor.grad_remove(gradients) {
+        Some(gradient) => to_vec(gradient),
+        None => vec![0.0; tensor.shape().num_elements()],
+    }
+}
+
+pub(crate) fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("the network computes in f32")
 }
 
 struct Load<'a> {

@@ -6,8 +6,8 @@ mod trial;
 use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::Device;
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, N_GRIPPERS, Normalization, Observation, SettingsDifference, Valid,
-    Weights, WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, N_GRIPPERS, Normalization, Observation,
+    SettingsDifference, Valid, Weights, WeightsVersion,
 };
 use rand_chacha::ChaCha8Rng;
 
@@ -17,7 +17,7 @@ use crate::cpu::Outputs;
 use crate::distribution::{ActionDistribution, mask_logits};
 use crate::engine::Engine;
 use crate::mixture::{MixtureDistribution, N_READOUTS};
-use crate::normalization::normalize;
+use crate::normalization::{self, normalize};
 use crate::parameters::ParameterError;
 use crate::proposals::Slot;
 
@@ -54,26 +54,12 @@ pub enum PolicyError {
         source: ParameterError,
     },
     /// The normalization statistics do not fit.
-    #[error("weights {version} have normalization {field} of length {given}, must be 0 or {expected}")]
-    NormalizationLength {
+    #[error("weights {version} have {error}")]
+    Normalization {
         /// Version of the weights.
         version: WeightsVersion,
-        /// Name of the statistics.
-        field: &'static str,
-        /// Their length.
-        given: usize,
-        /// Number of features.
-        expected: usize,
-    },
-    /// A statistic is not finite, or a standard deviation is not above 0.
-    #[error("weights {version} have {field} = {value}, must be finite and, for a standard deviation, above 0")]
-    NormalizationValue {
-        /// Version of the weights.
-        version: WeightsVersion,
-        /// Name of the statistic.
-        field: &'static str,
-        /// The value.
-        value: f32,
+        /// The first wrong statistic.
+        error: InvalidSetting,
     },
     /// The output of a forward pass is not a distribution over actions, or not a value: the parameters are finite, but
     /// so large that sums overflow.
@@ -114,10 +100,7 @@ impl PolicyError {
     pub fn is_of_weights(&self) -> bool {
         match self {
             Self::OtherSettings { .. } | Self::OtherNetwork { .. } => false,
-            Self::Parameters { .. }
-            | Self::NormalizationLength { .. }
-            | Self::NormalizationValue { .. }
-            | Self::NoDistribution { .. } => true,
+            Self::Parameters { .. } | Self::Normalization { .. } | Self::NoDistribution { .. } => true,
         }
     }
 }
@@ -179,7 +162,9 @@ impl Policy {
         if weights.network_hash != expected {
             return Err(PolicyError::OtherNetwork { version, given: weights.network_hash, expected });
         }
-        self.check_normalization(weights)?;
+        let sizes = self.config.sizes();
+        normalization::check("normalization", &weights.normalization, [sizes.node, sizes.edge, sizes.global])
+            .map_err(|error| PolicyError::Normalization { version, error })?;
         let engine =
             self.engine.with(&weights.parameters).map_err(|source| PolicyError::Parameters { version, source })?;
         let mut tried = Self {
@@ -275,33 +260,6 @@ impl Policy {
 
     fn no_distribution(&self, output: &'static str, value: f32) -> PolicyError {
         PolicyError::NoDistribution { version: self.version, output, value }
-    }
-
-    fn check_normalization(&self, weights: &Weights) -> Result<(), PolicyError> {
-        let version = weights.version;
-        let sizes = self.config.sizes();
-        let n = &weights.normalization;
-        for (k, expected) in [sizes.node, sizes.edge, sizes.global].into_iter().enumerate() {
-            for (field, values) in [("feature_mean", &n.feature_mean[k]), ("feature_std", &n.feature_std[k])] {
-                let given = values.len();
-                if given != expected && (given != 0 || n.feature_mean[k].len() != n.feature_std[k].len()) {
-                    return Err(PolicyError::NormalizationLength { version, field, given, expected });
-                }
-                let valid = |x: &f32| x.is_finite() && (field == "feature_mean" || *x > 0.0);
-                if let Some(value) = values.iter().copied().find(|x| !valid(x)) {
-                    return Err(PolicyError::NormalizationValue { version, field, value });
-                }
-            }
-        }
-        for (field, value, valid) in [
-            ("value_mean", n.value_mean, n.value_mean.is_finite()),
-            ("value_std", n.value_std, n.value_std.is_finite() && n.value_std > 0.0),
-        ] {
-            if !valid {
-                return Err(PolicyError::NormalizationValue { version, field, value });
-            }
-        }
-        Ok(())
     }
 }
 

@@ -44,8 +44,10 @@
 //! slower the larger it is.
 //!
 //! **Leveling.** A piece that is held, or waits, and reaches 40 cm and farther turns about the held block until it lies
-//! level, by 10 cm a step at its end: what hangs askew is higher up than need be, and breaks when it is let go. It keeps
-//! still once the other block is two steps away.
+//! level, by 10 cm a step at its end: what hangs askew is higher up than need be, and breaks when it is let go.
+//!
+//! **Coming.** A piece that reaches 70 cm and farther also comes while it waits, by up to 20 cm a step, without going down:
+//! the ways to its ends are long. It neither turns nor comes once the other block is two steps away.
 //!
 //! All moves are velocities as fractions of the world's limits, as in [`Action`](proto::Action). A move that would take
 //! more than one step is scaled down, so that shift and turn arrive together.
@@ -56,7 +58,7 @@ mod openings;
 mod solid;
 mod way;
 
-use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS, RelativePlacement};
+use blueprints::{BlockIdx, Blueprint, Inventory, Link, N_BLOCKS as N, RelativePlacement};
 use nalgebra::Vector3;
 use proto::{Move, Observation, Scene};
 
@@ -64,8 +66,6 @@ use self::moves::{Joining, Layout};
 use self::openings::{Cell, Shape, opening};
 use self::way::{STEP_M, STEP_RAD, Way};
 use crate::geometry::{matrix, rotation_vector};
-
-const N: usize = N_BLOCKS;
 
 /// Number of slots of a block: one for each kind and partner, and one for each kind without a partner.
 pub const N_SLOTS: usize = Kind::PAIRED.len() * N + Kind::ALONE.len();

@@ -1,13 +1,12 @@
-//! Settings in canonical form, which two processes compare before they work together.
+//! Settings in canonical form, which two processes compare before they work together, and its hash.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use blueprints::hash::fnv1a;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::config_hash;
 use crate::setting::schema::json_of;
 
 /// Maximum length of the text, in bytes. All settings of a policy and a world take about 4 kB.
@@ -36,7 +35,8 @@ const MAX_SHOWN_CHARS: usize = 80;
 pub struct CanonicalSettings(BTreeMap<String, String>);
 
 /// The first setting, in the order of keys, that two processes have differently.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", self.between("there", "here"))]
 pub struct SettingsDifference {
     /// The full key.
     pub key: String,
@@ -73,7 +73,7 @@ impl CanonicalSettings {
                 fields.iter().for_each(|(key, value)| self.insert(&format!("{path}.{key}"), value));
             }
             Value::Null => {}
-            leaf => drop(self.0.insert(path.to_owned(), config_hash::canonical(leaf))),
+            leaf => drop(self.0.insert(path.to_owned(), canonical(leaf))),
         }
     }
 
@@ -154,19 +154,45 @@ impl TryFrom<Vec<String>> for CanonicalSettings {
     }
 }
 
-impl fmt::Display for SettingsDifference {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.between("there", "here"))
+/// Returns the hash of the configuration's canonical form: JSON without spaces, with sorted keys and without `null`
+/// values.
+///
+/// Only the keys and values of the configuration file matter, not the names or order of types, variants, and fields in
+/// the program. An optional key that is absent does not change the hash. Renaming a key does; tests pin the hashes of
+/// the presets to detect it.
+///
+/// # Panics
+/// If `config` has no JSON form, such as a map with non-string keys. Every configuration has a JSON form.
+pub fn config_hash(config: &impl Serialize) -> u64 {
+    let value = serde_json::to_value(config).expect("a configuration is JSON");
+    fnv1a(canonical(&value).into_bytes())
+}
+
+/// Returns the canonical form of a value.
+fn canonical(value: &Value) -> String {
+    match value {
+        Value::Object(fields) => {
+            let fields: BTreeMap<_, _> = fields.iter().filter(|(_, value)| !value.is_null()).collect();
+            let fields = fields.into_iter().map(|(key, value)| format!("{}:{}", json!(key), canonical(value)));
+            format!("{{{}}}", fields.collect::<Vec<_>>().join(","))
+        }
+        Value::Array(values) => format!("[{}]", values.iter().map(canonical).collect::<Vec<_>>().join(",")),
+        // Numbers are written with the fewest digits that are exact.
+        leaf => leaf.to_string(),
     }
 }
 
-impl std::error::Error for SettingsDifference {}
-
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
+
+    #[test]
+    fn canonical_form_is_sorted_and_omits_nulls() {
+        let text = canonical(&json!({ "b": [1, 0.5, null, "x\"y"], "a": { "d": true, "c": null } }));
+        assert_eq!(text, r#"{"a":{"d":true},"b":[1,0.5,null,"x\"y"]}"#);
+        assert_eq!(config_hash(&json!({ "b": 1, "a": 2 })), config_hash(&json!({ "a": 2, "b": 1, "c": null })));
+        assert_ne!(config_hash(&json!({ "a": 1 })), config_hash(&json!({ "a": "1" })));
+    }
 
     #[test]
     fn floats_keep_their_shortest_form_and_lists_are_one_value() {

@@ -99,12 +99,7 @@ impl Role {
     }
 }
 
-/// Returns the key of a liveliness token.
+/// Returns the key of a liveliness token; the id `*` matches all of a role.
 pub fn live(role: Role, id: &str) -> String {
     format!("live/{}/{id}", role.as_str())
-}
-
-/// Returns the key expression of all liveliness tokens of a role.
-pub fn live_all(role: Role) -> String {
-    live(role, "*")
 }

@@ -11,7 +11,6 @@ extern crate self as proto; // The unit tests share the samples of the integrati
 pub mod agent;
 mod canonical;
 pub mod codec;
-mod config_hash;
 pub mod disturbance;
 pub mod keys;
 pub mod metrics;
@@ -25,9 +24,8 @@ pub mod wilson;
 mod wire;
 
 pub use agent::{Agent, Decision, Observation};
-pub use canonical::{CanonicalSettings, NotCanonical, SettingsDifference};
+pub use canonical::{CanonicalSettings, NotCanonical, SettingsDifference, config_hash};
 pub use codec::{Ack, DecodeError, Refusal};
-pub use config_hash::config_hash;
 pub use disturbance::{Disturbance, InvalidDisturbance};
 pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};

@@ -308,7 +308,7 @@ pub struct VideoCounts {
     pub failed_total: u64,
     /// Episodes that were requested but not recorded, because too many recordings were in progress.
     pub unrecorded_total: u64,
-    /// Small videos omitted from TensorBoard because they were too large.
+    /// Always 0; earlier versions counted small videos for TensorBoard here, and require it.
     pub oversized_total: u64,
 }
 

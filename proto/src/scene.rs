@@ -1,12 +1,13 @@
 //! The state of a world after a step: plain data for features, rewards, replays, and videos.
 
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS, RelativePlacement};
+use serde::{Deserialize, Serialize};
 
 /// Number of grippers (paper: 2; the single-gripper ablation leaves the second one absent).
 pub const N_GRIPPERS: usize = 2;
 
 /// Position and orientation in the world frame, z up.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
     /// Center in meters.
     pub position: [f32; 3],

@@ -126,22 +126,21 @@ macro_rules! settings {
     (@docs $([$($meta:tt)*])*) => { &[$($crate::settings!(@doc $($meta)*)),*] };
     (@doc doc = $line:literal) => { $line };
     (@doc $($other:tt)*) => { "" };
-    (@schema $defaults:ident $docs:tt $field:ident $type:ty) => {
+    (@schema $defaults:ident [$($docs:tt)*] $field:ident $type:ty) => {
         $crate::setting::schema::described(
             <$type as $crate::setting::Section>::schema(),
-            $crate::settings!(@documented $docs),
+            $crate::settings!(@docs $($docs)*),
         )
     };
-    (@schema $defaults:ident $docs:tt $field:ident $type:ty
+    (@schema $defaults:ident [$($docs:tt)*] $field:ident $type:ty
         = $default:expr $(, in $range:expr)? $(, where $rule:expr => $expected:literal)?
     ) => {{
         let rule: &[&str] = &[$($expected)?];
-        let docs = $crate::settings!(@documented $docs);
+        let docs = $crate::settings!(@docs $($docs)*);
         let schema = $crate::setting::schema::value(docs, &$defaults.$field, rule.first().copied());
         $(let schema = $crate::setting::schema::within::<$type>(schema, &$range);)?
         schema
     }};
-    (@documented [$($docs:tt)*]) => { $crate::settings!(@docs $($docs)*) };
     (
         $(#[$($meta:tt)*])*
         $vis:vis struct $name:ident $(in $root:literal)? $(, check $check:ident)? {

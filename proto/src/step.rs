@@ -80,11 +80,8 @@ impl std::str::FromStr for ActionMode {
     type Err = InvalidActionMode;
 
     fn from_str(text: &str) -> Result<Self, InvalidActionMode> {
-        match text {
-            "greedy" => Ok(Self::Greedy),
-            "sampled" => Ok(Self::Sampled),
-            _ => Err(InvalidActionMode(text.to_owned())),
-        }
+        let mode = [Self::Greedy, Self::Sampled].into_iter().find(|mode| mode.name() == text);
+        mode.ok_or_else(|| InvalidActionMode(text.to_owned()))
     }
 }
 
@@ -106,17 +103,22 @@ impl std::ops::Add for RewardTerms {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        Self {
-            connected: self.connected + other.connected,
-            wrong: self.wrong + other.wrong,
-            magnets: self.magnets + other.magnets,
-            blocks: self.blocks + other.blocks,
-            force: self.force + other.force,
-        }
+        let (a, b) = (self.to_array(), other.to_array());
+        Self::from_array(std::array::from_fn(|term| a[term] + b[term]))
     }
 }
 
 impl RewardTerms {
+    /// Returns the terms in the order of the fields.
+    pub fn to_array(self) -> [f32; 5] {
+        [self.connected, self.wrong, self.magnets, self.blocks, self.force]
+    }
+
+    /// Returns the terms of [`RewardTerms::to_array`].
+    pub fn from_array([connected, wrong, magnets, blocks, force]: [f32; 5]) -> Self {
+        Self { connected, wrong, magnets, blocks, force }
+    }
+
     /// Returns the sum of all terms.
     pub fn total(&self) -> f32 {
         self.connected + self.wrong + self.magnets + self.blocks + self.force

@@ -20,7 +20,7 @@ use crate::{Action, Disturbance, N_GRIPPERS, RewardTerms, Scene, Status, Weights
 /// # Ok::<(), proto::trajectory::InvalidActorId>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[serde(try_from = "String")]
 pub struct ActorId(String);
 
 /// The start state of an episode (paper, section "Initial State").
@@ -41,7 +41,7 @@ pub enum Start {
 }
 
 /// An episode's goal and start. Together with the seed they determine the initial world.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Task {
     /// The goal.
     pub blueprint: BlueprintId,
@@ -170,12 +170,6 @@ impl FromStr for ActorId {
 
     fn from_str(name: &str) -> Result<Self, InvalidActorId> {
         Self::try_from(name.to_owned())
-    }
-}
-
-impl From<ActorId> for String {
-    fn from(actor: ActorId) -> Self {
-        actor.0
     }
 }
 

@@ -28,39 +28,25 @@ impl Default for SuccessRate {
 }
 
 impl SuccessRate {
-    /// Computes the rate and interval of these counts.
+    /// Computes the rate and interval of these counts (E. B. Wilson, 1927, doi:10.1080/01621459.1927.10502953).
+    ///
+    /// Unlike the normal approximation, the interval is valid for zero successes and for all successes, where
+    /// evaluations begin and end.
     ///
     /// # Panics
     /// If there are more successes than episodes.
     pub fn new(n_successes: u64, n_episodes: u64) -> Self {
-        let (wilson_low, wilson_high) = wilson_interval(n_successes, n_episodes);
-        let rate = if n_episodes == 0 { 0.0 } else { n_successes as f64 / n_episodes as f64 };
+        assert!(n_successes <= n_episodes, "{n_successes} successes in {n_episodes} episodes");
+        let n = n_episodes as f64;
+        let rate = if n_episodes == 0 { 0.0 } else { n_successes as f64 / n };
+        let z2 = Z_95 * Z_95;
+        let center = (rate + z2 / (2.0 * n)) / (1.0 + z2 / n);
+        let half_width = Z_95 / (1.0 + z2 / n) * (rate * (1.0 - rate) / n + z2 / (4.0 * n * n)).sqrt();
+        // Set the ends to exactly 0 and 1, which rounding would miss. Without episodes, both are set.
+        let wilson_low = if n_successes == 0 { 0.0 } else { center - half_width };
+        let wilson_high = if n_successes == n_episodes { 1.0 } else { center + half_width };
         Self { n_successes, n_episodes, rate, wilson_low, wilson_high }
     }
-}
-
-/// Returns the 95 % Wilson score interval of a success probability (E. B. Wilson, 1927,
-/// doi:10.1080/01621459.1927.10502953).
-///
-/// Unlike the normal approximation, it is valid for zero successes and for all successes, where evaluations begin and
-/// end. Without episodes it is (0, 1).
-///
-/// # Panics
-/// If there are more successes than episodes.
-pub fn wilson_interval(n_successes: u64, n_episodes: u64) -> (f64, f64) {
-    assert!(n_successes <= n_episodes, "{n_successes} successes in {n_episodes} episodes");
-    if n_episodes == 0 {
-        return (0.0, 1.0);
-    }
-    let n = n_episodes as f64;
-    let p = n_successes as f64 / n;
-    let z2 = Z_95 * Z_95;
-    let center = (p + z2 / (2.0 * n)) / (1.0 + z2 / n);
-    let half_width = Z_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
-    // Set the ends to exactly 0 and 1, which rounding would miss.
-    let low = if n_successes == 0 { 0.0 } else { center - half_width };
-    let high = if n_successes == n_episodes { 1.0 } else { center + half_width };
-    (low, high)
 }
 
 #[cfg(test)]
@@ -69,9 +55,8 @@ mod tests {
 
     #[track_caller]
     fn check(n_successes: u64, n_episodes: u64, low: f64, high: f64) {
-        let (found_low, found_high) = wilson_interval(n_successes, n_episodes);
-        assert!((found_low - low).abs() < 5e-5, "low {found_low}, expected {low}");
-        assert!((found_high - high).abs() < 5e-5, "high {found_high}, expected {high}");
+        let found = SuccessRate::new(n_successes, n_episodes);
+        assert!((found.wilson_low - low).abs() < 5e-5 && (found.wilson_high - high).abs() < 5e-5, "{found:?}");
     }
 
     #[test]

@@ -5,16 +5,13 @@
 
 #![allow(clippy::unwrap_used, missing_docs)]
 
-#[path = "../src/model.rs"]
-mod model;
-
 use std::convert::Infallible;
 use std::fmt::Debug;
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::vec_env::generator;
 use environment::{VecEnv, World, sample_assignment};
-use policy::{FeatureBatch, Policy, PolicyConfig};
+use policy::{FeatureBatch, Model, Policy, PolicyConfig};
 use proto::{Action, ActionMode, Agent, Decision, Observation, Start, Status, Task, Valid};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -25,11 +22,11 @@ const N_ROUNDS: u64 = 3;
 
 fn main() {
     let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../deploy/pretrained/model.safetensors")).unwrap();
-    let model = model::Model::read(&bytes).unwrap();
+    let model = Model::from_bytes(&bytes).unwrap();
     let best = |measure: &dyn Fn(u64) -> f64| (0..N_ROUNDS).map(measure).fold(0.0, f64::max);
     let policy =
-        best(&|seed| rate(Policy::with_weights(&model.config, &model.weights).unwrap(), ActionMode::Greedy, seed));
-    let random = best(&|seed| rate(Random::new(&model.config), ActionMode::Sampled, seed));
+        best(&|seed| rate(Policy::with_weights(&model.policy, &model.weights).unwrap(), ActionMode::Greedy, seed));
+    let random = best(&|seed| rate(Random::new(&model.policy), ActionMode::Sampled, seed));
     println!("{{\"policy\": {policy:.1}, \"random\": {random:.1}}}");
 }
 

@@ -142,7 +142,7 @@ class Batch:
         n: Number of worlds, up to 16,384. MemoryError if there is no memory for them.
         blueprint: The goals, as for `lodestone.blueprints`. Each entry is equally likely.
         starts: How episodes start: `scattered`, `prebuilt` (another training blueprint is built), `prebuilt:ID` (from
-            the catalog, the generator, or a file in `blueprint`), `near-goal` (the goal is built except for one or two
+            the catalog or a file in `blueprint`), `near-goal` (the goal is built except for one or two
             blocks), `near-goal:N`, `near-goal:M-N`, or `as-it-is` (the world stays as the last episode left it). Or a
             mapping of these to weights.
         shuffle_blocks: Whether equal blocks swap roles from episode to episode.

@@ -1,6 +1,7 @@
 //! Runs the policy on arrays of features.
 
 use std::borrow::Cow;
+use std::error::Error;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -9,10 +10,10 @@ use environment::vec_env::generator;
 use numpy::PyUntypedArrayMethods;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3};
 use policy::features::N_EDGES;
+use policy::model::{MAX_FILE_BYTES, Model};
 use policy::proposals::Proposals;
-use policy::{FeatureBatch, FeatureSizes, MoveHead};
-use proto::codec::MAX_WEIGHTS_BYTES;
-use proto::{ActionMode, Decision};
+use policy::{FeatureBatch, MoveHead, PolicyConfig};
+use proto::{ActionMode, Decision, Valid};
 use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyAnyMethods, PyBytes, PyType};
@@ -21,14 +22,10 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::arrays::{ActionArrays, action_arrays};
 use crate::error::{message, refused};
-use crate::model::{Model, ModelError};
 use crate::worlds::Worlds;
 
 /// The pretrained policy embedded in the program.
 const PRETRAINED: &[u8] = include_bytes!("../../deploy/pretrained/model.safetensors");
-
-/// Maximum size of a policy file in bytes, as in `lodestone`: the largest network, and names and shapes of its parameters.
-const MAX_FILE_BYTES: u64 = MAX_WEIGHTS_BYTES as u64 + (4 << 20);
 
 /// Indices of two edge features: the two blocks are connected, and both belong to the blueprint.
 const CONNECTED: usize = 22;
@@ -44,11 +41,7 @@ type Arguments<'py> = (Bound<'py, PyBytes>, u64, Vec<u128>);
 /// A frozen policy.
 #[pyclass(module = "lodestone._native", frozen)]
 pub(crate) struct Policy {
-    sizes: FeatureSizes,
-    n_grippers: usize,
-    /// Whether it draws from proposals.
-    is_mixture: bool,
-    features: String,
+    config: Valid<PolicyConfig>,
     version: u64,
     /// The file that it came from.
     file: Cow<'static, [u8]>,
@@ -71,7 +64,7 @@ impl Policy {
     #[new]
     #[pyo3(signature = (file, seed=0, positions=Vec::new()))]
     fn new(py: Python<'_>, file: &[u8], seed: u64, positions: Vec<u128>) -> PyResult<Self> {
-        let policy = Self::from_bytes(Cow::Owned(file.to_vec())).map_err(|error| refused(&error))?;
+        let policy = Self::from_bytes(Cow::Owned(file.to_vec())).map_err(|error| refused(&*error))?;
         let mut actor = policy.lock(py);
         actor.seed = seed;
         actor.grow(positions.len());
@@ -93,7 +86,7 @@ impl Policy {
     /// Returns the pretrained policy.
     #[staticmethod]
     fn pretrained() -> PyResult<Self> {
-        Self::from_bytes(Cow::Borrowed(PRETRAINED)).map_err(|error| refused(&error))
+        Self::from_bytes(Cow::Borrowed(PRETRAINED)).map_err(|error| refused(&*error))
     }
 
     /// Loads a policy from a file written by `lodestone export`.
@@ -102,33 +95,33 @@ impl Policy {
         let shown = path.display();
         let bytes = outside::read(&path, MAX_FILE_BYTES)
             .map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
-        let refused =
-            |error: PolicyError| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&error)));
-        Self::from_bytes(Cow::Owned(bytes)).map_err(refused)
+        Self::from_bytes(Cow::Owned(bytes))
+            .map_err(|error| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&*error))))
     }
 
     /// Numbers of features per node, per edge, and of the whole scene.
     #[getter]
     fn sizes(&self) -> (usize, usize, usize) {
-        (self.sizes.node, self.sizes.edge, self.sizes.global)
+        let sizes = self.config.sizes();
+        (sizes.node, sizes.edge, sizes.global)
     }
 
     /// Number of grippers.
     #[getter]
     fn n_grippers(&self) -> usize {
-        self.n_grippers
+        usize::from(self.config.features.n_grippers)
     }
 
     /// The policy's feature flags as JSON.
     #[getter]
-    fn features(&self) -> &str {
-        &self.features
+    fn features(&self) -> PyResult<String> {
+        serde_json::to_string(&self.config.features).map_err(refused)
     }
 
     /// Whether it draws moves from proposals, so that it needs worlds to act.
     #[getter]
     fn is_mixture(&self) -> bool {
-        self.is_mixture
+        self.config.network.move_head == MoveHead::Mixture
     }
 
     /// Version of the policy's weights.
@@ -156,11 +149,11 @@ impl Policy {
         sampled: bool,
         worlds: Option<&Bound<'py, Worlds>>,
     ) -> PyResult<DecisionArrays<'py>> {
-        let n = nodes.shape()[0];
+        let (n, sizes, n_grippers) = (nodes.shape()[0], self.config.sizes(), self.n_grippers());
         for (name, shape, wanted) in [
-            ("nodes", nodes.shape(), &[n, N_BLOCKS, self.sizes.node][..]),
-            ("edges", edges.shape(), &[n, N_EDGES, self.sizes.edge][..]),
-            ("globals", globals.shape(), &[n, self.sizes.global][..]),
+            ("nodes", nodes.shape(), &[n, N_BLOCKS, sizes.node][..]),
+            ("edges", edges.shape(), &[n, N_EDGES, sizes.edge][..]),
+            ("globals", globals.shape(), &[n, sizes.global][..]),
         ] {
             if shape != wanted {
                 let text = format!("{name} has shape {shape:?}: this policy expects {wanted:?}");
@@ -169,31 +162,20 @@ impl Policy {
         }
         let parts = [nodes.as_slice()?, edges.as_slice()?, globals.as_slice()?];
         let mode = if sampled { ActionMode::Sampled } else { ActionMode::Greedy };
-        let proposals = if self.is_mixture { proposals_of(py, worlds, n)? } else { Vec::new() };
+        let proposals = if self.is_mixture() { proposals_of(py, worlds, n)? } else { Vec::new() };
         let mut held = self.lock(py);
         let actor = &mut **held;
-        let decided = py.detach(|| actor.act(parts, n, self.sizes.edge, mode, proposals));
-        let decisions = decided.map_err(|error| refused(&error))?;
+        let decided = py.detach(|| actor.act(parts, n, sizes.edge, mode, proposals));
+        let decisions = decided.map_err(refused)?;
         let log_probs: Vec<f32> = decisions.iter().map(|decision| decision.log_prob).collect();
         let values: Vec<f32> = decisions.iter().map(|decision| decision.value).collect();
         let number = |slot: &Option<u8>| slot.map_or(-1, i64::from);
-        let slots = decisions.iter().flat_map(|decision| decision.proposals[..self.n_grippers].iter().map(number));
-        let slots = slots.collect::<Vec<i64>>().into_pyarray(py).reshape([n, self.n_grippers])?;
+        let slots = decisions.iter().flat_map(|decision| decision.proposals[..n_grippers].iter().map(number));
+        let slots = slots.collect::<Vec<i64>>().into_pyarray(py).reshape([n, n_grippers])?;
         let actions: Vec<_> = decisions.into_iter().map(|decision| decision.action).collect();
-        let actions = action_arrays(py, &actions, self.n_grippers)?;
+        let actions = action_arrays(py, &actions, n_grippers)?;
         Ok((actions, log_probs.into_pyarray(py), values.into_pyarray(py), slots))
     }
-}
-
-/// An error when creating a policy.
-#[derive(Debug, thiserror::Error)]
-enum PolicyError {
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    #[error(transparent)]
-    Policy(#[from] policy::PolicyError),
-    #[error(transparent)]
-    Features(#[from] serde_json::Error),
 }
 
 impl Policy {
@@ -202,19 +184,11 @@ impl Policy {
         self.actor.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn from_bytes(file: Cow<'static, [u8]>) -> Result<Self, PolicyError> {
-        let Model { config, weights } = Model::read(&file)?;
+    fn from_bytes(file: Cow<'static, [u8]>) -> Result<Self, Box<dyn Error>> {
+        let Model { policy: config, weights, .. } = Model::from_bytes(&file)?;
         let policy = policy::Policy::with_weights(&config, &weights)?;
-        let batch = FeatureBatch::of_policy(&config);
-        Ok(Self {
-            sizes: config.sizes(),
-            n_grippers: usize::from(config.features.n_grippers),
-            is_mixture: config.network.move_head == MoveHead::Mixture,
-            features: serde_json::to_string(&config.features)?,
-            version: weights.version.0,
-            file,
-            actor: Mutex::new(Box::new(Actor { policy, batch, seed: 0, rngs: Vec::new() })),
-        })
+        let actor = Actor { policy, batch: FeatureBatch::of_policy(&config), seed: 0, rngs: Vec::new() };
+        Ok(Self { config, version: weights.version.0, file, actor: Mutex::new(Box::new(actor)) })
     }
 }
 

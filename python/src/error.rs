@@ -6,8 +6,8 @@ use pyo3::PyErr;
 use pyo3::exceptions::PyValueError;
 
 /// Creates a `ValueError` with the message and the causes of an error.
-pub(crate) fn refused(error: &dyn Error) -> PyErr {
-    PyValueError::new_err(message(error))
+pub(crate) fn refused(error: impl Error) -> PyErr {
+    PyValueError::new_err(message(&error))
 }
 
 /// Returns the message and the causes of an error.

@@ -4,7 +4,6 @@ use std::ffi::CString;
 use std::path::Path;
 use std::sync::Arc;
 
-use blueprints::catalog::read_files;
 use blueprints::checks::check_text;
 use blueprints::{Blueprint, BlueprintId, Catalog, CatalogError, Split};
 use pyo3::exceptions::PyUserWarning;
@@ -31,7 +30,7 @@ pub(crate) enum GoalError {
     /// The list is empty.
     #[error("blueprint is an empty list: expected at least one")]
     Empty,
-    /// Neither a file nor anything in the catalog or the generator.
+    /// Neither a file nor anything in the catalog.
     #[error(
         "blueprint {0:?} is unknown: expected an id such as 4_000, a split ({splits}), or the path of a TOML file or folder",
         splits = Split::ALL.map(|split| split.to_string()).join(", ")
@@ -39,8 +38,8 @@ pub(crate) enum GoalError {
     Unknown(String),
     /// Not an id, where a single blueprint is expected.
     #[error(
-        "blueprint {0:?} is unknown: expected one id, such as 4_000, of the catalog, of the generator, or of a file \
-         among the environment's blueprints"
+        "blueprint {0:?} is unknown: expected one id, such as 4_000, of the catalog or of a file among the environment's \
+         blueprints"
     )]
     UnknownId(String),
     /// The catalog keeps only one blueprint per structure, so this one could not be played.
@@ -55,7 +54,7 @@ pub(crate) enum GoalError {
 }
 
 impl Goals {
-    /// Resolves `names`: ids of the catalog or the generator, splits, paths of files or folders, and texts of files.
+    /// Resolves `names`: ids of the catalog, splits, paths of files or folders, and texts of files.
     ///
     /// # Errors
     /// Returns an error if no goals result, a name is unknown, two goals share an id, or one goal replaces another.
@@ -64,27 +63,29 @@ impl Goals {
         let mut ids = Vec::new();
         let (mut sources, mut choices) = (Vec::new(), Vec::new());
         for name in names {
-            if name.contains('\n') {
-                let file = "the text of a blueprint";
-                choices.extend(chosen(file, name));
-                let own = Catalog::of_one(check_text(file, name).blueprint.map_err(CatalogError::from)?);
-                sources.extend(texts(&own));
-                add(&own, &mut ids, &mut catalog)?;
+            let (own, inferred) = if name.contains('\n') {
+                let report = check_text("the text of a blueprint", name);
+                let inferred = report.inferred.into_iter().map(|found| (report.file.clone(), found)).collect();
+                (Catalog::of_one(report.blueprint.map_err(CatalogError::from)?), inferred)
             } else if is_path(&catalog, name) {
-                let path = Path::new(name);
-                let own = Catalog::load(path)?;
-                for (file, text) in read_files(path)? {
-                    choices.extend(chosen(&file, &text));
-                }
-                sources.extend(texts(&own));
-                add(&own, &mut ids, &mut catalog)?;
-            } else if let Ok(split) = name.parse::<Split>() {
-                sources.push(name.clone());
-                ids.extend(catalog.of_split(split).into_iter().map(Blueprint::id).cloned());
+                Catalog::load_with_inferred(Path::new(name))?
             } else {
-                ids.push(known(&catalog, name).ok_or_else(|| GoalError::Unknown(name.clone()))?);
+                match name.parse::<Split>() {
+                    Ok(split) => ids.extend(catalog.of_split(split).into_iter().map(Blueprint::id).cloned()),
+                    Err(_) => ids.push(known(&catalog, name).ok_or_else(|| GoalError::Unknown(name.clone()))?),
+                }
                 sources.push(name.clone());
+                continue;
+            };
+            let chosen = inferred.iter().filter(|(_, found)| found.is_a_choice());
+            choices.extend(chosen.map(|(file, found)| format!("{file}: {found}; `axes` in the file chooses another")));
+            // Another structure, of the catalog or among the goals, must not have the same id.
+            if let Some(blueprint) = own.iter().find(|blueprint| catalog.namesake(blueprint).is_some()) {
+                return Err(GoalError::Repeated(blueprint.id().clone()));
             }
+            sources.extend(own.iter().map(|blueprint| blueprint.to_toml("a goal that was given")));
+            ids.extend(own.iter().map(Blueprint::id).cloned());
+            catalog = catalog.with(&own);
         }
         if ids.is_empty() {
             return Err(GoalError::Empty);
@@ -111,24 +112,6 @@ impl Goals {
     }
 }
 
-/// Returns a text for each blueprint, in which nothing is left open.
-fn texts(own: &Catalog) -> impl Iterator<Item = String> {
-    own.iter().map(|blueprint| blueprint.to_toml("a goal that was given"))
-}
-
-/// Adds the user's own blueprints to the goals and the catalog.
-///
-/// # Errors
-/// Returns an error if another structure, of the catalog or among the goals, has the same id.
-fn add(own: &Catalog, ids: &mut Vec<BlueprintId>, catalog: &mut Catalog) -> Result<(), GoalError> {
-    if let Some(blueprint) = own.iter().find(|blueprint| catalog.namesake(blueprint).is_some()) {
-        return Err(GoalError::Repeated(blueprint.id().clone()));
-    }
-    ids.extend(own.iter().map(Blueprint::id).cloned());
-    *catalog = catalog.with(own);
-    Ok(())
-}
-
 /// Parses an id. Returns `None` unless the catalog has that blueprint.
 fn known(catalog: &Catalog, name: &str) -> Option<BlueprintId> {
     name.parse::<BlueprintId>().ok().filter(|id| catalog.get(id).is_some())
@@ -148,17 +131,10 @@ fn is_path(catalog: &Catalog, name: &str) -> bool {
     name.contains('/') || name.ends_with(".toml") || (!is_named() && Path::new(name).exists())
 }
 
-/// Describes, for each block in a file's text with an ambiguous orientation, which one was chosen.
-fn chosen(file: &str, text: &str) -> Vec<String> {
-    let inferred = check_text(file, text).inferred;
-    let choices = inferred.iter().filter(|found| found.is_a_choice());
-    choices.map(|found| format!("{file}: {found}; `axes` in the file chooses another")).collect()
-}
-
 /// Returns the ids and block counts of blueprints.
 #[pyfunction(name = "blueprints")]
 pub(crate) fn named(py: Python<'_>, names: Vec<String>) -> PyResult<Vec<(String, usize)>> {
-    let goals = Goals::new(&names).map_err(|error| refused(&error))?;
+    let goals = Goals::new(&names).map_err(refused)?;
     // Skips the frame of `lodestone.blueprints` and attributes the warning to its caller.
     goals.warn(py, 2)?;
     Ok(goals.ids.iter().map(|id| (id.to_string(), goals.n_blocks(id))).collect())

@@ -1,8 +1,8 @@
 //! What a world did since its last start that owed nothing to the episode before: enough to replay it.
 
-use blueprints::{BlockIdx, N_BLOCKS};
+use blueprints::BlockIdx;
 use environment::{Arrangement, ArrangementError, ResetError};
-use proto::{Action, Move, N_GRIPPERS, Pose, Scene, Start, Task};
+use proto::{Action, Move, N_GRIPPERS, Scene, Start, Task};
 
 /// Maximum number of steps and starts that are remembered: 1 MB per world. Only worlds whose episodes begin as the last
 /// one ended, or that step on and on after an end, get there.
@@ -14,11 +14,8 @@ const ACTION_BYTES: usize = N_GRIPPERS * (1 + size_of::<Move>());
 /// The byte for a gripper that chooses no block.
 const NO_BLOCK: u8 = u8::MAX;
 
-/// The goal, the blocks that play it, the start as JSON, the seed, the actions, and the scene that was set.
-pub(crate) type EpisodeState = (String, Vec<u8>, String, u64, Vec<u8>, Option<SceneState>);
-
-/// Each block's position and orientation, and the pairs of connected blocks.
-type SceneState = (Vec<([f32; 3], [f32; 4])>, Vec<(u8, u8)>);
+/// The task as JSON, the actions, and the scene that was set as JSON.
+pub(crate) type EpisodeState = (String, Vec<u8>, Option<String>);
 
 /// Episodes, the first of which started afresh.
 #[derive(Clone, Debug, Default)]
@@ -111,12 +108,11 @@ impl History {
             return Err(HistoryError::Lost);
         }
         let state = |Episode { task, scene, actions }: &Episode| {
-            let start = serde_json::to_string(&task.start).map_err(|_| HistoryError::Damaged)?;
-            let assignment = task.assignment.map(u8::from).to_vec();
-            let scene = scene.as_ref().map(scene_state);
-            Ok((task.blueprint.to_string(), assignment, start, task.seed, actions.clone(), scene))
+            let scene = scene.as_ref().map(serde_json::to_string).transpose()?;
+            Ok((serde_json::to_string(task)?, actions.clone(), scene))
         };
-        self.episodes.iter().map(state).collect()
+        let states: Result<_, serde_json::Error> = self.episodes.iter().map(state).collect();
+        states.map_err(|_| HistoryError::Damaged)
     }
 }
 
@@ -127,34 +123,11 @@ pub(crate) fn fingerprint(scene: &Scene) -> Vec<u8> {
 }
 
 /// Returns the task, the set scene, and the actions of an episode; `None` if they are damaged.
-pub(crate) fn read(
-    (blueprint, assignment, start, seed, actions, scene): &EpisodeState,
-) -> Option<(Task, Option<Arrangement>, Vec<Action>)> {
-    let scene = match scene {
-        Some(scene) => Some(arrangement(scene)?),
-        None => None,
-    };
+pub(crate) fn read((task, actions, scene): &EpisodeState) -> Option<(Task, Option<Arrangement>, Vec<Action>)> {
+    let scene = scene.as_ref().map(|scene| serde_json::from_str(scene)).transpose().ok()?;
     let (actions, rest) = actions.as_chunks::<ACTION_BYTES>();
     let actions: Option<Vec<Action>> = actions.iter().map(action).collect();
-    rest.is_empty().then_some((task(blueprint, assignment, start, *seed)?, scene, actions?))
-}
-
-fn task(blueprint: &str, assignment: &[u8], start: &str, seed: u64) -> Option<Task> {
-    let blocks: Option<Vec<BlockIdx>> = assignment.iter().map(|block| BlockIdx::try_from(*block).ok()).collect();
-    let assignment: [BlockIdx; N_BLOCKS] = blocks?.try_into().ok()?;
-    Some(Task { blueprint: blueprint.parse().ok()?, assignment, start: serde_json::from_str(start).ok()?, seed })
-}
-
-fn scene_state(scene: &Arrangement) -> SceneState {
-    let poses = scene.poses.iter().map(|pose| (pose.position, pose.orientation)).collect();
-    (poses, scene.connections.iter().map(|(a, b)| (u8::from(*a), u8::from(*b))).collect())
-}
-
-fn arrangement((poses, connections): &SceneState) -> Option<Arrangement> {
-    let poses: Vec<Pose> = poses.iter().map(|&(position, orientation)| Pose { position, orientation }).collect();
-    let block = |block: u8| BlockIdx::try_from(block).ok();
-    let connections = connections.iter().map(|&(a, b)| Some((block(a)?, block(b)?))).collect::<Option<_>>()?;
-    Some(Arrangement { poses: poses.try_into().ok()?, connections })
+    rest.is_empty().then_some((serde_json::from_str(task).ok()?, scene, actions?))
 }
 
 fn action(bytes: &[u8; ACTION_BYTES]) -> Option<Action> {

@@ -6,14 +6,13 @@
 //! arguments and results of each method.
 //!
 //! Reading order: `settings` → `goals` and `tasks` (what to build) → `history` → `row` (one world) →
-//! `proposals` → `worlds` (a batch) → `picture` → `model` and `agent` (the policy).
+//! `proposals` → `worlds` (a batch) → `picture` → `agent` (the policy).
 
 mod agent;
 mod arrays;
 mod error;
 mod goals;
 mod history;
-mod model;
 mod picture;
 mod proposals;
 mod row;

@@ -3,7 +3,7 @@
 use blueprints::Blueprint;
 use nalgebra::Point3;
 use proto::Scene;
-use render::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, corners, of_blueprint, of_scene};
+use render::picture::{Camera, Ground, Image, Painter, Rgb, View, corners, draw_blueprint, of_scene};
 
 /// Height up to which the camera frames the space above the blocks, m.
 const HEADROOM_M: f32 = 0.45;
@@ -61,10 +61,7 @@ impl Stage {
 /// Paints the goal in a frame.
 fn goal_picture(easel: &mut Easel, goal: &Blueprint, size_px: [usize; 2]) -> Image {
     let side = (GOAL_SHARE * size_px[0].min(size_px[1]) as f32) as usize;
-    let blocks: Vec<Block> = of_blueprint(goal);
-    let camera =
-        Camera::framing(View::FrontQuarter, &corners(&blocks), [side, side], 0.12 * side as f32, f32::INFINITY);
-    let picture = easel.goals.paint(&blocks, &camera, Ground::under(&blocks));
+    let picture = draw_blueprint(&mut easel.goals, goal, View::FrontQuarter, [side, side]);
     let mut framed = Image::filled(side + 2, side + 2, FRAME);
     framed.paste(&picture, 1, 1);
     framed

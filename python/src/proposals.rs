@@ -60,10 +60,9 @@ pub(crate) fn offered(row: &mut Row, is_masked: bool) -> [bool; N_PICKS] {
     let proposals = row.proposals();
     let mut offered = [false; N_PICKS];
     for block in BlockIdx::all().filter(|block| allowed[block.get()]) {
-        proposals
-            .slots(block)
-            .iter()
-            .for_each(|slot| offered[block.get() * N_SLOTS + usize::from(slot.index())] = true);
+        for slot in proposals.slots(block) {
+            offered[block.get() * N_SLOTS + usize::from(slot.index())] = true;
+        }
     }
     offered
 }

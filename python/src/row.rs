@@ -150,12 +150,7 @@ impl Row {
         rng.set_word_pos(position);
         self.seed(rng);
         self.noise.set_word_pos(noise);
-        self.replay(tasks, &episodes)?;
-        if fingerprint(self.world.scene()) == last { Ok(()) } else { Err(HistoryError::Different) }
-    }
-
-    fn replay(&mut self, tasks: &Tasks, episodes: &[EpisodeState]) -> Result<(), HistoryError> {
-        for episode in episodes {
+        for episode in &episodes {
             let (task, scene, actions) = read(episode).ok_or(HistoryError::Damaged)?;
             self.world.reset(&task, &tasks.goals.catalog)?;
             self.opened(task);
@@ -166,7 +161,7 @@ impl Row {
                 self.step(&action);
             }
         }
-        Ok(())
+        if fingerprint(self.world.scene()) == last { Ok(()) } else { Err(HistoryError::Different) }
     }
 
     /// Writes the policy's features.
@@ -192,8 +187,7 @@ impl Row {
     /// be taken apart.
     pub(crate) fn allowed(&self) -> [bool; N_BLOCKS] {
         let (scene, goal) = (self.world.scene(), self.world.blueprint());
-        let mut allowed = [false; N_BLOCKS];
-        BlockIdx::all().for_each(|block| allowed[block.get()] = goal.contains(block));
+        let mut allowed = BlockIdx::array(|block| goal.contains(block));
         scene.joints.iter().flat_map(|joint| [joint.a, joint.b]).for_each(|block| allowed[block.get()] = true);
         allowed
     }

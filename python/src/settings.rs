@@ -21,7 +21,7 @@ pub(crate) fn parsed<T: DeserializeOwned + Section>(name: &str, text: &str) -> P
         Ok(config) => config,
         Err(error) => return Err(explained::<T>(name, text).unwrap_or_else(|| refused_text(name, &error.to_string()))),
     };
-    config.validate_at(name).map_err(|error| refused(&error))?;
+    config.validate_at(name).map_err(refused)?;
     Ok(config)
 }
 
@@ -53,7 +53,7 @@ fn explained<T: DeserializeOwned + Section>(name: &str, text: &str) -> Option<py
     let words = || error.rsplit_once("expected ").map_or(error.as_str(), |(_, expected)| expected).to_owned();
     let expected = range::<T>(name, &path).unwrap_or_else(words);
     let error = InvalidSetting::check(dotted(name, &path), value, false, expected).err()?;
-    Some(refused(&error))
+    Some(refused(error))
 }
 
 /// Returns the range of a number or a pair of numbers. Only a check states it, so this tries what may lie outside.

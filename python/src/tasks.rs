@@ -6,6 +6,7 @@ use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
 use proto::{Start, Task};
 use rand::RngExt;
+use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 
 use crate::goals::{GoalError, Goals, known_id};
@@ -19,7 +20,7 @@ pub(crate) struct Tasks {
     /// Blueprints that may be prebuilt: the training split, except those that a goal replaced in the catalog.
     prebuilt: Vec<BlueprintId>,
     /// Whether equal blocks swap roles between episodes.
-    shuffle_blocks: bool,
+    pub(crate) shuffle_blocks: bool,
 }
 
 /// Properties of one episode that are given instead of drawn.
@@ -135,7 +136,7 @@ impl Tasks {
     pub(crate) fn draw(&self, wish: &Wish, rng: &mut ChaCha8Rng) -> Task {
         let ids = &self.goals.ids;
         let blueprint = wish.goal.as_ref().unwrap_or_else(|| &ids[rng.random_range(0..ids.len())]).clone();
-        let assignment = if self.shuffle_blocks { sample_assignment(rng) } else { as_they_are() };
+        let assignment = if self.shuffle_blocks { sample_assignment(rng) } else { BlockIdx::array(|block| block) };
         let start = wish.start.as_ref().unwrap_or_else(|| self.draw_rule(rng));
         let start = match start {
             StartRule::Scattered => Start::Scattered,
@@ -144,11 +145,7 @@ impl Tasks {
             StartRule::Prebuilt(None) => {
                 let others: Vec<&BlueprintId> = self.prebuilt.iter().filter(|id| **id != blueprint).collect();
                 // User goals may have replaced all of them. Training also falls back to scattered starts then.
-                if others.is_empty() {
-                    Start::Scattered
-                } else {
-                    Start::Prebuilt(others[rng.random_range(0..others.len())].clone())
-                }
+                others.choose(rng).map_or(Start::Scattered, |&id| Start::Prebuilt(id.clone()))
             }
             StartRule::NearGoal(undone) => {
                 let most = u8::try_from(self.goals.n_blocks(&blueprint)).unwrap_or(u8::MAX).saturating_sub(1).max(1);
@@ -170,9 +167,4 @@ impl Tasks {
         let last = self.starts.iter().rev().find(|(_, weight)| *weight > 0.0);
         &drawn.or(last).expect("a start has a positive weight").0
     }
-}
-
-fn as_they_are() -> [BlockIdx; N_BLOCKS] {
-    let mut blocks = BlockIdx::all();
-    std::array::from_fn(|_| blocks.next().expect("there are as many indices as blocks"))
 }

@@ -43,7 +43,6 @@ pub(crate) struct Worlds {
     sizes: FeatureSizes,
     tasks: Tasks,
     starts: Vec<(String, f64)>,
-    shuffle_blocks: bool,
     /// Behind a lock, because Python may call from several threads.
     rows: Mutex<Vec<Row>>,
     n_threads: usize,
@@ -80,22 +79,18 @@ impl Worlds {
             let text = format!("{n} worlds on {n_threads} threads: expected at least one of each");
             return Err(PyValueError::new_err(text));
         };
-        let config = Valid::new(parsed::<EnvironmentConfig>("settings", settings)?).map_err(|error| refused(&error))?;
+        let config = Valid::new(parsed::<EnvironmentConfig>("settings", settings)?).map_err(refused)?;
         let features: FeatureConfig = parsed("features", features)?;
         let features = FeatureConfig { n_grippers: config.n_grippers, ..features };
-        let goals = Goals::new(&blueprints).map_err(|error| refused(&error))?;
-        let tasks = Tasks::new(goals, &starts, shuffle_blocks).map_err(|error| refused(&error))?;
+        let goals = Goals::new(&blueprints).map_err(refused)?;
+        let tasks = Tasks::new(goals, &starts, shuffle_blocks).map_err(refused)?;
         let mut rows = room_for(n)?;
-        for row in 0..n {
-            let world = World::new(&config);
-            rows.push(Row::new(world, generator(0, row as u64)));
-        }
+        rows.extend((0..n).map(|row| Row::new(World::new(&config), generator(0, row as u64))));
         // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
         tasks.goals.warn(py, 3)?;
         let sizes = FeatureSizes::new(&features);
-        let rows = Mutex::new(rows);
-        let easel = Mutex::default();
-        Ok(Self { config, features, sizes, tasks, starts, shuffle_blocks, rows, n_threads, easel })
+        let (rows, easel) = (Mutex::new(rows), Mutex::default());
+        Ok(Self { config, features, sizes, tasks, starts, rows, n_threads, easel })
     }
 
     /// Returns worlds that go on bit for bit as these.
@@ -109,7 +104,6 @@ impl Worlds {
             sizes: self.sizes,
             tasks: self.tasks.clone(),
             starts: self.starts.clone(),
-            shuffle_blocks: self.shuffle_blocks,
             rows: Mutex::new(rows),
             n_threads: self.n_threads,
             easel: Mutex::default(),
@@ -120,11 +114,10 @@ impl Worlds {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyType>, Arguments, Vec<RowState>)> {
         let this = slf.get();
         let all = this.lock(slf.py());
-        let json = |value: serde_json::Result<String>| value.map_err(|error| refused(&error));
-        let (settings, features) = (serde_json::to_string(&this.config), serde_json::to_string(&this.features));
+        let settings = serde_json::to_string(&this.config).map_err(refused)?;
         let (names, starts) = (this.tasks.goals.sources.clone(), this.starts.clone());
-        let (settings, features) = (json(settings)?, json(features)?);
-        let arguments = (all.len(), names, starts, this.shuffle_blocks, settings, features, this.n_threads);
+        let (shuffle_blocks, features) = (this.tasks.shuffle_blocks, this.features()?);
+        let arguments = (all.len(), names, starts, shuffle_blocks, settings, features, this.n_threads);
         let state = |(row, one): (usize, &Row)| {
             one.state().map_err(|error| PyValueError::new_err(format!("world {row} cannot be pickled: {error}")))
         };
@@ -159,7 +152,7 @@ impl Worlds {
     /// The feature flags as JSON.
     #[getter]
     fn features(&self) -> PyResult<String> {
-        serde_json::to_string(&self.features).map_err(|error| refused(&error))
+        serde_json::to_string(&self.features).map_err(refused)
     }
 
     /// Number of grippers.
@@ -203,7 +196,7 @@ impl Worlds {
             let text = format!("{} seeds for {} worlds", seeds.len(), all.len());
             return Err(PyValueError::new_err(text));
         }
-        let wish = Wish::new(&self.tasks, blueprint, start).map_err(|error| refused(&error))?;
+        let wish = Wish::new(&self.tasks, blueprint, start).map_err(refused)?;
         let mut held = hold(&features, &self.sizes, all.len())?;
         let slices = rows(&mut held, &self.sizes)?;
         let mut outcomes = vec![Outcome::default(); all.len()];
@@ -214,8 +207,7 @@ impl Worlds {
             }
             Job { row, action: None, features, outcome }
         });
-        let jobs = jobs.collect();
-        py.detach(|| self.work(jobs, &wish));
+        self.work(py, jobs.collect(), &wish);
         first_failure(&outcomes)
     }
 
@@ -241,12 +233,13 @@ impl Worlds {
         let slices = rows(&mut held, &self.sizes)?;
         let mut outcomes = vec![Outcome::default(); n];
         let parts = all.iter_mut().zip(slices).zip(&mut outcomes).zip(actions).zip(resets);
-        let jobs = parts.map(|((((row, features), outcome), action), reset)| {
-            let action = if *reset { None } else { Some(action) };
-            Job { row, action, features, outcome }
+        let jobs = parts.map(|((((row, features), outcome), action), reset)| Job {
+            row,
+            action: (!*reset).then_some(action),
+            features,
+            outcome,
         });
-        let jobs = jobs.collect();
-        py.detach(|| self.work(jobs, &Wish::default()));
+        self.work(py, jobs.collect(), &Wish::default());
         first_failure(&outcomes)?;
         let rewards: Vec<f64> = outcomes.iter().map(|outcome| f64::from(outcome.reward.total())).collect();
         let statuses: Vec<u8> = outcomes.iter().map(|outcome| code(outcome.status)).collect();
@@ -309,14 +302,11 @@ impl Worlds {
         let mut rows = self.with_proposals(py);
         let skipped = masked(&skipped, rows.len())?;
         let picks = proposals::picks(&picks, rows.len(), self.n_grippers())?;
-        let parts = rows.iter_mut().zip(&picks).zip(skipped);
-        let actions: Vec<Action> = parts
-            .map(
-                |((row, picks), skipped)| {
-                    if *skipped { Action::IDLE } else { proposals::action(row, picks, is_noisy, is_masked) }
-                },
-            )
-            .collect();
+        let mut actions = vec![Action::IDLE; rows.len()];
+        let parts = rows.iter_mut().zip(&picks).zip(&mut actions).zip(skipped);
+        for (((row, picks), action), _) in parts.filter(|(_, skipped)| !**skipped) {
+            *action = proposals::action(row, picks, is_noisy, is_masked);
+        }
         action_arrays(py, &actions, self.n_grippers())
     }
 
@@ -416,8 +406,8 @@ impl Worlds {
         self.rows.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn work(&self, jobs: Vec<Job<'_>>, wish: &Wish) {
-        share(self.n_threads, jobs, |Job { row, action, features, outcome }| {
+    fn work(&self, py: Python<'_>, jobs: Vec<Job<'_>>, wish: &Wish) {
+        let work = |Job { row, action, features, outcome }: Job<'_>| {
             match action {
                 Some(action) => {
                     let result = row.step(&action);
@@ -426,7 +416,8 @@ impl Worlds {
                 None => outcome.failure = row.begin(&self.tasks, wish).err(),
             }
             row.observe(&self.features, features);
-        });
+        };
+        py.detach(|| share(self.n_threads, jobs, work));
     }
 }
 

@@ -28,3 +28,4 @@ pub use sheet::{MAX_TILES, card, draw_blueprint, sheet};
 
 pub(crate) use camera::Window;
 pub(crate) use image::mix;
+pub(crate) use model::holder;

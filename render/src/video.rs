@@ -2,8 +2,8 @@
 //!
 //! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode seen through
 //! a camera that follows the construction) → `video` (frames with the goal and the score next to the world) → `mp4` and
-//! `gif` (frames → bytes) → `miniature` (a small GIF of bounded size) → `strip` (an episode as one picture) →
-//! `attention` and `heads` (a policy's attention in an episode).
+//! `gif` (frames → bytes) → `strip` (an episode as one picture) → `attention` and `heads` (a policy's attention in an
+//! episode).
 
 mod attention;
 mod collect;
@@ -11,7 +11,6 @@ mod episode;
 mod frames;
 mod gif;
 mod heads;
-mod miniature;
 mod mp4;
 mod stage;
 mod strip;
@@ -24,7 +23,6 @@ pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
 pub use frames::{LAST_S, MAX_WIDTH, MIN_WIDTH, Video};
 pub use gif::{MAX_GIF_FPS, gif};
 pub use heads::{AttentionVideo, attention_strip};
-pub use miniature::{MAX_MINIATURE_BYTES, MINIATURE_PX, miniature};
 pub use mp4::mp4;
 pub use strip::strip;
 

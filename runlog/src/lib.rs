@@ -19,4 +19,4 @@ pub mod writer;
 
 pub use history::{Evaluation, History, HistoryError};
 pub use paths::RunPaths;
-pub use writer::{Lines, MetricsWriter, WriteError, last_line, lines};
+pub use writer::{Lines, MetricsWriter, WriteError, lines};

@@ -2,16 +2,16 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{BlueprintId, Split};
+use blueprints::{BlueprintId, Group, Split};
+use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalOutcome};
 use proto::wilson::SuccessRate;
+use serde::Serialize;
 
 use crate::Evaluation;
-use blueprints::Group;
-use proto::ActionMode;
 
 /// A blueprint as a table row; rows sort by split, size, and id.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct Row {
     /// Split of the catalog.
     pub split: Split,
@@ -30,15 +30,6 @@ pub struct Grid {
     pub steps: Vec<u64>,
     /// For each row, a value for each step; `None` if not evaluated.
     pub values: Vec<Vec<Option<f64>>>,
-}
-
-/// The success rate of one run minus that of another.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Difference {
-    /// Differences of success rates, −1 to 1, at the steps of the first run.
-    pub grid: Grid,
-    /// Maximum distance between the two evaluations of a column, in environment steps.
-    pub max_apart: u64,
 }
 
 /// Returns the evaluations that led to the last one, with increasing environment steps.
@@ -85,20 +76,6 @@ pub fn group_of(score: &EvalBlueprint) -> Option<Group> {
     Group::of(score.split, usize::try_from(score.n_blocks).ok()?)
 }
 
-/// Returns the success rates of an evaluation by group, with the number of blueprints.
-pub fn group_rates(evaluation: &Evaluation, acting: ActionMode) -> BTreeMap<Group, (SuccessRate, usize)> {
-    let mut counts: BTreeMap<Group, (u64, u64, usize)> = BTreeMap::new();
-    for score in &evaluation.blueprints {
-        if let (Some(group), Some(outcome)) = (group_of(score), outcome_of(score, acting)) {
-            let (n_successes, n_episodes, n_blueprints) = counts.entry(group).or_default();
-            *n_successes += outcome.success.n_successes;
-            *n_episodes += outcome.success.n_episodes;
-            *n_blueprints += 1;
-        }
-    }
-    counts.into_iter().map(|(group, (hits, all, n))| (group, (SuccessRate::new(hits, all), n))).collect()
-}
-
 /// Success rates of several runs on the blueprints that all their evaluations share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Common {
@@ -131,50 +108,14 @@ pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Evaluation]>, acting
 impl Grid {
     /// Builds a grid of the success rates of evaluations with increasing steps; `None` if none used this action mode.
     pub fn success(evaluations: &[&Evaluation], acting: ActionMode) -> Option<Self> {
-        let values =
-            |rates: BTreeMap<Row, SuccessRate>| rates.into_iter().map(|(row, rate)| (row, rate.rate)).collect();
-        let columns = evaluated(evaluations, acting).into_iter().map(|(steps, rates)| (steps, values(rates)));
-        Self::of_columns(&columns.collect::<Vec<_>>())
-    }
-
-    /// Builds a grid of columns that have values; `None` if there is no column.
-    fn of_columns(columns: &[(u64, BTreeMap<Row, f64>)]) -> Option<Self> {
-        let mut rows: Vec<Row> = columns.iter().flat_map(|(_, values)| values.keys().cloned()).collect();
+        let columns = evaluated(evaluations, acting);
+        let mut rows: Vec<Row> = columns.iter().flat_map(|(_, rates)| rates.keys().cloned()).collect();
         rows.sort();
         rows.dedup();
-        let of_row = |row: &Row| columns.iter().map(|(_, values)| values.get(row).copied()).collect();
+        let of_row = |row: &Row| columns.iter().map(|(_, rates)| Some(rates.get(row)?.rate)).collect();
         let values = rows.iter().map(of_row).collect();
         let steps: Vec<u64> = columns.iter().map(|(steps, _)| *steps).collect();
         (!steps.is_empty()).then_some(Self { rows, steps, values })
-    }
-}
-
-impl Difference {
-    /// Computes the success rate of `run` minus that of `other`, both with increasing steps; `None` if they share no
-    /// blueprint.
-    ///
-    /// Two evaluations form a column if each is the other's nearest in environment steps. So no evaluation appears
-    /// twice, and steps that only one run reached have no column.
-    pub fn new(run: &[&Evaluation], other: &[&Evaluation], acting: ActionMode) -> Option<Self> {
-        let (run, other) = (evaluated(run, acting), evaluated(other, acting));
-        let mut max_apart = 0;
-        let mut columns = Vec::new();
-        for (steps, rates) in &run {
-            let Some((their_steps, theirs)) = nearest(&other, *steps) else { continue };
-            if nearest(&run, *their_steps).is_none_or(|(back, _)| back != steps) {
-                continue;
-            }
-            let both = rates.iter().filter_map(|(row, rate)| {
-                let difference = rate.rate - theirs.get(row)?.rate;
-                Some((row.clone(), difference))
-            });
-            let both: BTreeMap<Row, f64> = both.collect();
-            if !both.is_empty() {
-                max_apart = max_apart.max(steps.abs_diff(*their_steps));
-                columns.push((*steps, both));
-            }
-        }
-        Some(Self { grid: Grid::of_columns(&columns)?, max_apart })
     }
 }
 
@@ -184,11 +125,6 @@ type Evaluated = (u64, BTreeMap<Row, SuccessRate>);
 fn evaluated(evaluations: &[&Evaluation], acting: ActionMode) -> Vec<Evaluated> {
     let all = evaluations.iter().map(|evaluation| (evaluation.n_env_steps, rates(evaluation, acting)));
     all.filter(|(_, rates)| !rates.is_empty()).collect()
-}
-
-/// Returns the evaluation nearest to `steps`; the earlier one if two are equally near.
-fn nearest(evaluations: &[Evaluated], steps: u64) -> Option<&Evaluated> {
-    evaluations.iter().min_by_key(|(their_steps, _)| their_steps.abs_diff(steps))
 }
 
 #[cfg(test)]
@@ -235,21 +171,6 @@ mod tests {
     }
 
     #[test]
-    fn difference_pairs_mutually_nearest_evaluations() {
-        let run = evaluations(&[(0, 0, None), (100, 6, Some(9)), (190, 8, None), (210, 9, None), (900, 9, None)]);
-        let other = evaluations(&[(5, 1, None), (110, 2, None), (200, 4, Some(0))]);
-        let found = Difference::new(&lineage(&run), &lineage(&other), ActionMode::Greedy).unwrap();
-        // 0 pairs with 5, 100 with 110, and 190 with 200; 210 is as near to 200 but later, and 900 has no partner.
-        assert_eq!((found.grid.steps, found.max_apart), (vec![0, 100, 190], 10));
-        let values: Vec<f64> = found.grid.values[0].iter().map(|value| (10.0 * value.unwrap()).round()).collect();
-        assert_eq!(values, [-1.0, 4.0, 4.0]);
-        // 10_000 was never evaluated on both sides of a column.
-        assert_eq!(found.grid.rows.len(), 1);
-        let strange = vec![evaluation(0, &[("3_000", Split::Train, 3, 0)])];
-        assert_eq!(Difference::new(&lineage(&run), &lineage(&strange), ActionMode::Greedy), None);
-    }
-
-    #[test]
     fn common_rates_use_the_shared_blueprints() {
         let run = evaluations(&[(0, 0, None), (100, 6, Some(9))]);
         let other = evaluations(&[(5, 1, Some(2)), (110, 2, Some(3))]);
@@ -262,16 +183,5 @@ mod tests {
         let strange = lineage(&strange);
         assert_eq!(common_rates([&run[..], &strange[..]].into_iter(), ActionMode::Greedy), None);
         assert_eq!(common_rates([&run[..], &[]].into_iter(), ActionMode::Greedy), None);
-    }
-
-    #[test]
-    fn group_rates_sum_their_blueprints() {
-        let all = [evaluation(
-            0,
-            &[("2_000", Split::Train, 2, 4), ("3_000", Split::Train, 3, 9), ("10_000", Split::Train, 10, 1)],
-        )];
-        let found = group_rates(&all[0], ActionMode::Greedy);
-        let counted: Vec<_> = found.iter().map(|(g, (rate, n))| (*g, rate.n_successes, rate.n_episodes, *n)).collect();
-        assert_eq!(counted, [(Group::Train2To6, 13, 20, 2), (Group::Train7To11, 1, 10, 1)]);
     }
 }

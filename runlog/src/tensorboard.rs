@@ -2,7 +2,7 @@
 //!
 //! A file is a sequence of records (length, checksum, data, checksum), each an `Event` message in protobuf; see
 //! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Only the parts of the
-//! message for scalars, images, texts, and hyperparameters are defined here.
+//! message for scalars, texts, and hyperparameters are defined here.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -48,8 +48,6 @@ struct Tagged {
     /// Optional: a plain 0 would not be written, and readers would find no value.
     #[prost(float, optional, tag = "2")]
     simple_value: Option<f32>,
-    #[prost(message, optional, tag = "4")]
-    image: Option<Picture>,
     #[prost(message, optional, tag = "8")]
     tensor: Option<Tensor>,
     #[prost(message, optional, tag = "9")]
@@ -123,23 +121,6 @@ const PREFIX: &str = "events.out.tfevents.";
 /// `DT_STRING` of `tensorflow/core/framework/types.proto`.
 const STRINGS: i32 = 7;
 
-/// An image in TensorBoard: the bytes of a file in a format that browsers support. A GIF is animated.
-#[derive(Clone, PartialEq, Message)]
-pub struct Picture {
-    /// Height in pixels.
-    #[prost(int32, tag = "1")]
-    pub height: i32,
-    /// Width in pixels.
-    #[prost(int32, tag = "2")]
-    pub width: i32,
-    /// Channels: 3 for red, green, and blue.
-    #[prost(int32, tag = "3")]
-    pub colorspace: i32,
-    /// The encoded file.
-    #[prost(bytes = "vec", tag = "4")]
-    pub encoded: Vec<u8>,
-}
-
 /// Appends to one event file.
 #[derive(Debug)]
 pub struct EventWriter {
@@ -183,15 +164,6 @@ impl EventWriter {
     pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
         let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), ..Tagged::default() };
         self.summary(step, scalars.into_iter().map(number).collect())
-    }
-
-    /// Appends an image under each of the tags at `step`, in one write.
-    ///
-    /// # Errors
-    /// If writing fails.
-    pub fn picture(&mut self, step: u64, tags: &[String], picture: &Picture) -> io::Result<()> {
-        let tagged = |tag: &String| Tagged { tag: tag.clone(), image: Some(picture.clone()), ..Tagged::default() };
-        self.summary(step, tags.iter().map(tagged).collect())
     }
 
     /// Appends a text in Markdown at `step`.
@@ -245,10 +217,7 @@ impl EventWriter {
 
 /// Returns the event files in the folder that an [`EventWriter`] named, oldest first. Files of other programs end in
 /// more than numbers.
-///
-/// # Errors
-/// If the folder exists and cannot be read.
-pub fn event_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
+pub(crate) fn event_files(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries?,
@@ -373,12 +342,10 @@ mod tests {
     }
 
     #[test]
-    fn event_file_has_version_scalars_and_images() {
+    fn event_file_has_version_scalars_and_settings() {
         let dir = tempfile::tempdir().unwrap();
         let mut writer = EventWriter::create(&dir.path().join("learner")).unwrap();
         writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
-        let picture = Picture { height: 2, width: 3, colorspace: 3, encoded: b"GIF89a".to_vec() };
-        writer.picture(8192, &["train-2-6/success".to_owned()], &picture).unwrap();
         writer.text(0, "settings", "seed = 1").unwrap();
         let settings =
             json!({ "seed": 1, "learner": { "gamma": 0.99, "adapt": true, "points": [[0, 0.5]] }, "device": "cpu" });
@@ -387,25 +354,17 @@ mod tests {
         assert_eq!(path, writer.path());
         assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
         let events = events(&path);
-        assert_eq!(events.len(), 5);
+        assert_eq!(events.len(), 4);
         assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
         assert_eq!(events[1].step, 4096);
-        let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), ..Tagged::default() };
-        assert_eq!(
-            events[1].summary.as_ref().unwrap().values,
-            [scalar("ppo/entropy", 1.5), scalar("learner/n_updates", 0.0)]
-        );
-        assert_eq!(events[2].step, 8192);
-        let value = &events[2].summary.as_ref().unwrap().values[0];
-        assert_eq!((value.tag.as_str(), &value.image, value.simple_value), ("train-2-6/success", &Some(picture), None));
-        let text = &events[3].summary.as_ref().unwrap().values[0];
-        let (tensor, metadata) = (text.tensor.as_ref().unwrap(), text.metadata.as_ref().unwrap());
-        assert_eq!(
-            (text.tag.as_str(), tensor.dtype, &tensor.strings[..]),
-            ("settings", 7, &[b"seed = 1".to_vec()][..])
-        );
-        assert_eq!(metadata.plugin.as_ref().unwrap().name, "text");
-        let row = &events[4].summary.as_ref().unwrap().values[0];
+        let values = |at: usize| &events[at].summary.as_ref().unwrap().values[..];
+        let tagged = |tag: &str| Tagged { tag: tag.to_owned(), ..Tagged::default() };
+        let scalar = |tag, value| Tagged { simple_value: Some(value), ..tagged(tag) };
+        assert_eq!(values(1), [scalar("ppo/entropy", 1.5), scalar("learner/n_updates", 0.0)]);
+        let tensor = Some(Tensor { dtype: 7, strings: vec![b"seed = 1".to_vec()] });
+        let metadata = Some(Metadata { plugin: Some(Plugin { name: "text".to_owned(), content: Vec::new() }) });
+        assert_eq!(values(2), [Tagged { tensor, metadata, ..tagged("settings") }]);
+        let row = &values(3)[0];
         let plugin = row.metadata.as_ref().unwrap().plugin.as_ref().unwrap();
         assert_eq!((row.tag.as_str(), plugin.name.as_str()), ("_hparams_/session_start_info", "hparams"));
         let session = Hyperparameters::decode(&plugin.content[..]).unwrap().session.unwrap();

@@ -65,8 +65,9 @@ impl VideoName {
         }
     }
 
-    /// Parses a name written by [`name`](Self::name); returns `None` for foreign files.
-    fn of(name: &str) -> Option<Self> {
+    /// Parses a [`name`](Self::name) with the extension `kind`; returns `None` for foreign files.
+    fn of(file: &str, kind: &str) -> Option<Self> {
+        let name = file.strip_suffix(kind)?.strip_suffix('.')?;
         let mut parts = name.splitn(3, '-');
         let version = WeightsVersion(parts.next()?.parse().ok()?);
         let ending = parts.next()?;
@@ -99,8 +100,8 @@ impl VideoStore {
         let mut found = Vec::new();
         for entry in fs::read_dir(folder)? {
             let name = entry?.file_name();
-            let label = name.to_str().and_then(|name| name.strip_suffix(self.kind)?.strip_suffix('.'));
-            found.extend(label.and_then(VideoName::of).filter(|label| label.ending == newest.ending));
+            let label = name.to_str().and_then(|name| VideoName::of(name, self.kind));
+            found.extend(label.filter(|label| label.ending == newest.ending));
         }
         found.sort_unstable_by_key(|&label| (label.version <= newest.version, label));
         let n_old = found.len().saturating_sub(self.keep);
@@ -121,8 +122,9 @@ pub struct VideoFile {
     pub label: VideoName,
 }
 
-/// Returns the videos of a folder, newest first, without foreign files; empty if the folder cannot be read.
-pub fn videos(folder: &Path) -> Vec<VideoFile> {
+/// Returns the videos of a kind (a file extension) in a folder, newest first, without foreign files; empty if the folder
+/// cannot be read.
+pub fn videos(folder: &Path, kind: &str) -> Vec<VideoFile> {
     let names = |folder: &Path| {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
         entries.filter_map(|entry| entry.file_name().into_string().ok()).collect::<Vec<_>>()
@@ -131,7 +133,7 @@ pub fn videos(folder: &Path) -> Vec<VideoFile> {
     for blueprint in names(folder).into_iter().filter_map(|name| BlueprintId::try_from(name).ok()) {
         let own = folder.join(blueprint.as_str());
         for name in names(&own) {
-            let Some(label) = name.strip_suffix(".mp4").and_then(VideoName::of) else { continue };
+            let Some(label) = VideoName::of(&name, kind) else { continue };
             found.push(VideoFile { path: own.join(&name), blueprint: blueprint.clone(), label });
         }
     }
@@ -152,11 +154,11 @@ mod tests {
     #[test]
     fn clip_name_round_trips_and_foreign_names_are_rejected() {
         for expected in [label(7, Ending::Success, 1), label(123_456_789, Ending::Failure, 3)] {
-            assert_eq!(VideoName::of(&expected.name()), Some(expected));
+            assert_eq!(VideoName::of(&format!("{}.mp4", expected.name()), "mp4"), Some(expected));
         }
         assert_eq!(label(7, Ending::Success, 1).name(), "00000007-success");
         for foreign in ["7-success", "00000007-best", "00000007-success-1", "00000007-success-x", "mine", "00000007"] {
-            assert_eq!(VideoName::of(foreign), None, "{foreign}");
+            assert_eq!(VideoName::of(&format!("{foreign}.mp4"), "mp4"), None, "{foreign}");
         }
     }
 
@@ -180,10 +182,10 @@ mod tests {
         let kept = ["00000001-failure.mp4", "00000001-success.txt", "00000002-success.mp4", "00000003-success.mp4"];
         assert_eq!(names, [&kept[..], &["1-success.mp4", "mine.mp4"]].concat());
         // The page shows only our own videos, newest first.
-        let shown: Vec<_> = videos(dir.path()).into_iter().map(|video| video.label).collect();
+        let shown: Vec<_> = videos(dir.path(), "mp4").into_iter().map(|video| video.label).collect();
         let expected = [(3, Ending::Success), (2, Ending::Success), (1, Ending::Failure)];
         assert_eq!(shown, expected.map(|(version, ending)| label(version, ending, 1)));
-        assert!(videos(&dir.path().join("nowhere")).is_empty());
+        assert!(videos(&dir.path().join("nowhere"), "mp4").is_empty());
     }
 
     #[test]
@@ -193,7 +195,7 @@ mod tests {
         let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
         let kept = |version| {
             store.put(&blueprint, label(version, Ending::Success, 1), b"video").unwrap();
-            videos(dir.path()).into_iter().map(|video| video.label.version.0).collect::<Vec<_>>()
+            videos(dir.path(), "mp4").into_iter().map(|video| video.label.version.0).collect::<Vec<_>>()
         };
         assert_eq!([700, 800, 301, 302].map(kept), [vec![700], vec![800, 700], vec![800, 301], vec![302, 301]]);
     }

@@ -7,7 +7,6 @@ use std::path::PathBuf;
 use proto::Role;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
 use crate::RunPaths;
 use crate::series::push_newer;
@@ -123,11 +122,15 @@ impl MetricsWriter {
     /// Tells TensorBoard, once, to forget what earlier processes wrote at `n_env_steps` or later.
     fn restart(&mut self, n_env_steps: u64) -> Result<(), WriteError> {
         if self.goes_on {
-            let written = self.tensorboard.restart(n_env_steps);
-            written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })?;
+            self.write_events(|tensorboard| tensorboard.restart(n_env_steps))?;
             self.goes_on = false;
         }
         Ok(())
+    }
+
+    /// Changes the event files; an error names their folder.
+    fn write_events(&mut self, write: impl FnOnce(&mut EventWriter) -> io::Result<()>) -> Result<(), WriteError> {
+        write(&mut self.tensorboard).map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
     }
 
     /// Writes the settings of the run, from the text of its `config.toml`, as text and to the table of hyperparameters.
@@ -140,11 +143,10 @@ impl MetricsWriter {
         let Ok(mut settings) = toml::from_str::<toml::Table>(config) else { return Ok(()) };
         settings.remove("dashboard");
         let hyperparameters = serde_json::to_value(&settings)?;
-        let mut write = || {
-            self.tensorboard.text(0, "settings", &format!("```toml\n{settings}```"))?;
-            self.tensorboard.hyperparameters(&hyperparameters)
-        };
-        write().map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
+        self.write_events(|tensorboard| {
+            tensorboard.text(0, "settings", &format!("```toml\n{settings}```"))?;
+            tensorboard.hyperparameters(&hyperparameters)
+        })
     }
 
     /// Adds a point to each named curve at a number of environment steps. Counts and PPO metrics have no points where
@@ -162,9 +164,8 @@ impl MetricsWriter {
             ["bus/", "ingest/", "ppo/"].iter().any(|start| tag.starts_with(start)) || tag.ends_with("_total")
         };
         self.restart(n_env_steps)?;
-        let is_shown = |(tag, value): &(String, f64)| *value != 0.0 || !is_quiet(tag);
-        let written = self.tensorboard.scalars(n_env_steps, scalars.into_iter().filter(is_shown));
-        written.map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
+        let shown = scalars.into_iter().filter(|(tag, value)| *value != 0.0 || !is_quiet(tag));
+        self.write_events(|tensorboard| tensorboard.scalars(n_env_steps, shown))
     }
 }
 
@@ -231,27 +232,6 @@ fn steps(line: &[u8]) -> Option<u64> {
     Some(serde_json::from_slice::<Steps>(line).ok()?.n_env_steps)
 }
 
-/// Returns the last line of `metrics.jsonl` under `key` that `accepts` accepts, among the last 4 MiB; `None` if there
-/// is none.
-///
-/// # Errors
-/// If the file exists and cannot be read.
-pub fn last_line(paths: &RunPaths, key: &str, accepts: impl Fn(&Value) -> bool) -> io::Result<Option<Value>> {
-    /// Holds hundreds of updates, each below 20 KB.
-    const TAIL: u64 = 4 << 20;
-    let mut file = match File::open(paths.metrics()) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        opened => opened?,
-    };
-    let start = file.metadata()?.len().saturating_sub(TAIL);
-    file.seek(SeekFrom::Start(start))?;
-    let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes)?;
-    // A line cut off at the front, or at the end by a kill, is not valid JSON.
-    let lines = bytes.rsplit(|byte| *byte == b'\n').filter_map(|line| serde_json::from_slice::<Value>(line).ok());
-    Ok(lines.filter(|line| line["key"] == key).find(accepts))
-}
-
 /// Returns the values of all lines under `key` that lead to the last one, with growing `n_env_steps`, and the number of
 /// lines that could not be read. Runs of earlier versions repeat steps after they were resumed.
 ///
@@ -284,7 +264,7 @@ pub fn lines<M: DeserializeOwned>(
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
+    use serde_json::{Value, json};
 
     use super::*;
 
@@ -409,25 +389,5 @@ mod tests {
         let (found, n_unread) = read();
         assert_eq!(found.iter().map(|line| line["n_env_steps"].as_u64().unwrap()).collect::<Vec<_>>(), [1, 2, 4]);
         assert_eq!(n_unread, 1);
-    }
-
-    #[test]
-    fn the_last_line_of_a_key_is_found() {
-        let folder = tempfile::tempdir().unwrap();
-        let paths = RunPaths::new(folder.path());
-        assert_eq!(last_line(&paths, "learner", |_| true).unwrap(), None);
-        let writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
-        let mut lines = Lines::default();
-        for (key, n) in [("learner", 1), ("learner", 2), ("eval/summary", 3)] {
-            lines.push(key, &json!({ "n": n })).unwrap();
-        }
-        writer.append(&lines).unwrap();
-        let mut file = OpenOptions::new().append(true).open(paths.metrics()).unwrap();
-        file.write_all(b"{\"key\":\"learner\",\"n\":4").unwrap();
-        let found = |below: u64| {
-            let line = last_line(&paths, "learner", |line| line["n"].as_u64().unwrap() < below).unwrap();
-            line.map(|line| line["n"].as_u64().unwrap())
-        };
-        assert_eq!((found(9), found(2), found(1)), (Some(2), Some(1), None));
     }
 }

@@ -113,15 +113,10 @@ fn members_with_keys_train_and_everybody_else_is_kept_out() {
     let [keys, strangers] = ["keys", "strangers"].map(|name| ring.path(name).display().to_string());
     let report = output_of_script(&python, &script, &[&ring.endpoint, &keys, &strangers, "smoke"]);
 
-    for (who, gets_in) in [
-        ("without_keys", false),
-        ("without_encryption", false),
-        ("stranger", false),
-        ("mixed", false),
-        ("honest", true),
-    ] {
-        assert_eq!(report[who], gets_in, "{who}");
+    for who in ["without_keys", "without_encryption", "stranger", "mixed"] {
+        assert_eq!(report[who], false, "{who}");
     }
+    assert_eq!(report["honest"], true);
     // For each role, the keys that it can read, query, and put. No process accepts its replies.
     for (role, read, asked, put) in [
         ("viewer", json!(["metrics/**", "**"]), json!(["metrics/learner", "history/eval"]), json!([])),

@@ -1,23 +1,14 @@
 //! The best policy of a run, beside its newest checkpoint.
 
-use std::path::Path;
 use std::process::{Output, Stdio};
 
-use learner::{Checkpoint, Model};
+use learner::{Checkpoint, Model, read_model};
 use runlog::series::outcome_of;
 use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
 use crate::support::program::{finished, lines, lodestone, n_saved_steps, printed_json};
 use crate::support::served::{Process, train};
-
-/// Trains a small run that evaluates its weights all the time.
-fn trained(folder: &Path) -> RunPaths {
-    let mut command = lodestone(folder);
-    let run = train(&mut command).args(["--no-web", "--steps", "4096", "--set", "evaluator.every={versions=1}"]);
-    finished(run.args(["--set", "evaluator.evaluate_last=true"]));
-    RunPaths::new(folder.join("run"))
-}
 
 /// Success of an evaluation with the action mode that counts.
 fn n_successes(evaluation: &Evaluation) -> u64 {
@@ -28,20 +19,19 @@ fn n_successes(evaluation: &Evaluation) -> u64 {
 }
 
 #[test]
-fn a_run_keeps_the_best_policy_of_its_evaluations() {
+fn the_best_policy_of_a_run_is_kept_evaluated_played_and_exported_and_the_newest_goes_on() {
     let folder = tempfile::tempdir().unwrap();
-    let run = trained(folder.path());
+    let mut command = lodestone(folder.path());
+    train(&mut command).args(["--no-web", "--steps", "4096", "--set", "evaluator.every={versions=1}"]);
+    finished(command.args(["--set", "evaluator.evaluate_last=true"]));
+    let run = RunPaths::new(folder.path().join("run"));
     let evaluations = History::read(&run.history()).unwrap();
     let evaluated = evaluations.iter().filter(|evaluation| evaluation.n_env_steps > 0 && n_successes(evaluation) > 0);
     // Of equal ones, this is the last.
     let best = evaluated.max_by_key(|evaluation| n_successes(evaluation)).map(|evaluation| evaluation.n_env_steps);
-    assert_eq!(Model::read(&run.best()).ok().map(|model| model.weights.n_env_steps), best);
-}
+    assert_eq!(read_model(&run.best()).ok().map(|model| model.weights.n_env_steps), best);
 
-#[test]
-fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes_on() {
-    let folder = tempfile::tempdir().unwrap();
-    let run = trained(folder.path());
+    // From here on, a best policy that is certain to exist.
     let newest = n_saved_steps(run.folder());
     let mut best = Model::from(&Checkpoint::read_latest(&run.checkpoints()).unwrap().checkpoint);
     best.weights.n_env_steps = 77;
@@ -54,7 +44,7 @@ fn the_best_policy_of_a_run_is_evaluated_played_and_exported_and_the_newest_goes
         let out = folder.path().join("out");
         let Output { stderr, .. } =
             lodestone(folder.path()).args(["export", "--out", "out", "--checkpoint", checkpoint]).output().unwrap();
-        let model = Model::read(&out).ok();
+        let model = read_model(&out).ok();
         assert!(model.iter().all(|model| model.verdict.is_none()));
         drop(std::fs::remove_file(&out));
         (model.map(|model| model.weights.n_env_steps), String::from_utf8(stderr).unwrap())

@@ -146,18 +146,16 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     assert_eq!(evaluation["all"]["greedy"], summary["all"]["greedy"]["success"]);
 
     // Event files store 32-bit floats.
-    let same = |number: &serde_json::Value, recorded: &serde_json::Value| {
-        assert_eq!(number.as_f64().unwrap() as f32, recorded.as_f64().unwrap() as f32);
-    };
+    let float = |number: &serde_json::Value| number.as_f64().unwrap() as f32;
     let path = |folder: &str| cluster.folder.path().join(folder).display().to_string();
     let plotted = output_of(&python, "scalars.py", &[&path("run/tb/learner")]);
     let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
     let update = record("learner", "run", &|line| line["n_env_steps"] == *step);
-    same(entropy, &update["ppo"]["entropy"]);
+    assert_eq!(float(entropy), float(&update["ppo"]["entropy"]));
     let plotted = output_of(&python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
     let [step, success] = [0, 1].map(|i| &plotted["success-greedy/all"][0][i]);
     let summary = record("eval/summary", "evaluated", &|line| line["n_env_steps"] == *step);
-    same(success, &summary["all"]["greedy"]["success"]["rate"]);
+    assert_eq!(float(success), float(&summary["all"]["greedy"]["success"]["rate"]));
 }
 
 #[test]
@@ -177,13 +175,9 @@ fn trackers_are_told_what_was_recorded() {
         track.stdout(Stdio::piped());
         track
     };
-    let tracked = |tracker: &str, folder: &Path| {
-        output_of_script(
-            &python,
-            &repository.join("tests/processes/tracked.py"),
-            &[tracker, &folder.display().to_string()],
-        )
-    };
+    let script = repository.join("tests/processes/tracked.py");
+    let tracked =
+        |tracker, folder: &Path| output_of_script(&python, &script, &[tracker, &folder.display().to_string()]);
     let updates = || {
         let recorded = metrics(&cluster.folder.path().join("run")).into_iter();
         let updates = recorded.filter(|line| line["key"] == "learner");

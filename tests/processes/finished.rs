@@ -4,23 +4,20 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use runlog::RunPaths;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::support::played::errors;
 use crate::support::program::{finished, lines, lodestone, printed_json};
 use crate::support::served::{Process, get, page, train};
-use crate::support::webdriver::Browser;
+use crate::support::webdriver::{Browser, HOME};
 use crate::support::written::write_sweep;
-
-/// The Home key, as a private-use code point of the WebDriver protocol.
-const HOME: &str = "\u{e011}";
 
 /// Creates two short runs in the folder, `first` and `second`. A run this short may end before any evaluation except
 /// that of its last weights, so that one is enabled.
-fn train_two(folder: &Path) {
+fn train_two(folder: &Path, settings: &[&str]) {
     for (name, seed) in [("first", "1"), ("second", "2")] {
         let mut command = lodestone(folder);
-        let run = train(&mut command).args(["--set", "evaluator.evaluate_last=true"]);
+        let run = train(&mut command).args(["--set", "evaluator.evaluate_last=true"]).args(settings);
         finished(run.args(["--steps", "512", "--seed", seed, "--no-web"]));
         std::fs::rename(folder.join("run"), folder.join(name)).unwrap();
     }
@@ -34,16 +31,15 @@ const ARE_SIDE_BY_SIDE: &str = "document.querySelector('#curves canvas') && docu
 fn finished_runs_stand_side_by_side_and_their_policies_play() {
     let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
     let folder = tempfile::tempdir().unwrap();
-    train_two(folder.path());
+    train_two(folder.path(), &[]);
     let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "first", "second"]));
-    let browser = Browser::start(&driver, folder.path());
-    browser.open(&format!("http://{address}"));
+    let browser = Browser::start(&driver, folder.path(), &format!("http://{address}"));
     browser.until("document.querySelector('#state').textContent === 'finished'");
     let options =
         browser.run("return [...document.querySelectorAll('#run-name option')].map((one) => one.textContent)");
-    assert_eq!(options, serde_json::json!(["first", "second"]));
+    assert_eq!(options, json!(["first", "second"]));
     browser.until(ARE_SIDE_BY_SIDE);
-    assert_eq!(browser.run(include_str!("curves.js")), serde_json::json!([]));
+    assert_eq!(browser.run(include_str!("curves.js")), json!([]));
     // The heat map opens a recorded episode. Of evaluations in quick succession, only the first is recorded.
     let videos: Value = serde_json::from_str(&get(&address, "/api/videos").1).unwrap();
     let recorded = &videos["videos"][0]["weights_version"];
@@ -53,14 +49,14 @@ fn finished_runs_stand_side_by_side_and_their_policies_play() {
     ));
     let column = format!("heat.evaluations.findIndex((evaluation) => evaluation.weights_version === {recorded})");
     browser.run(&format!("heat.move({{ row: 0, column: {column} }}); heat.open()"));
-    browser.until("!document.querySelector('#replay-player').hidden");
-    assert!(browser.text("#replay-note").contains(" in an evaluation of weights "), "{}", browser.text("#replay-note"));
+    browser.until("document.querySelector('#replay-note').textContent.includes(' in an evaluation of weights ')");
     // Other episodes are run on demand, by the policy of the selected run.
     browser.open(&format!("http://{address}/?run=1&axis=elapsed_s&smoothing=0.6"));
     browser.until("document.querySelector('#run-name select')?.value === '1'");
     browser.until("health.options.smoothing === 0.6 && document.querySelector('#chart-axis').value === 'elapsed_s'");
+    browser.until("replay.episode?.blueprint === '5_001'");
     browser.element("#stage-next").click();
-    browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
+    browser.until("replay.episode.blueprint !== '5_001'");
     assert!(browser.text("#replay-note").starts_with("The policy builds "), "{}", browser.text("#replay-note"));
     assert_eq!(errors(&browser), Vec::<Value>::new());
 }
@@ -79,14 +75,13 @@ fn a_sweep_is_shown_before_its_runs() {
     assert_eq!(answer["points"][1]["failed"][0]["log"], "point-2/seed-2.log");
 
     let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
-    let browser = Browser::start(&driver, folder.path());
-    browser.open(&format!("http://{address}"));
+    let browser = Browser::start(&driver, folder.path(), &format!("http://{address}"));
     // A chart of the only group, with a curve of either point, which one can leave out.
     let n_curves = "document.querySelectorAll('#sweep .reading .dot').length";
     browser.until(&format!("{n_curves} === 2"));
     let cells = browser.run("return [...document.querySelectorAll('#sweep tbody tr')].map((row) => row.innerText)");
     let expected = ["learner.gamma=0.9\t1 2\t100 %\n100 % to 100 %", "learner.gamma=0.95\t1\t100 %"];
-    assert_eq!(cells, serde_json::json!(expected));
+    assert_eq!(cells, json!(expected));
     assert_eq!(
         browser.text("#sweep li"),
         "failed: learner.gamma=0.95, seed 2 (exit status: 64); see point-2/seed-2.log"
@@ -117,8 +112,7 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     assert!(first < last, "{kept:?}");
     let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "run"]));
     let address = format!("http://{address}/");
-    let browser = Browser::start(&driver, folder.path());
-    browser.open(&format!("{address}?blueprint=2_000&seed=3&snapshot={last}"));
+    let browser = Browser::start(&driver, folder.path(), &format!("{address}?blueprint=2_000&seed=3&snapshot={last}"));
     let builds = |after: u64| {
         browser.until(&format!("replay.episode?.caption?.startsWith('policy after {after} steps')"));
         browser.run("return [replay.episode.weights_version, replay.episode.scenes[0].blocks]")
@@ -156,10 +150,32 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
 }
 
 #[test]
+fn choices_come_back_with_the_address_and_what_is_used_is_on_the_screen() {
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let often = ["--set", "evaluator.every={versions=1}", "--set", "evaluator.evaluate_last=true"];
+    finished(train(&mut lodestone(folder.path())).args(["--no-web", "--steps", "1024"]).args(often));
+    let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "run"]));
+    let address = format!(
+        "http://{address}/?find=5_0&actions=sampled&log=y&zoom=100,600&whole=1&blueprint=2_000&agent=expert&step=0"
+    );
+    let browser = Browser::start(&driver, folder.path(), "about:blank");
+    for width in [1280, 390] {
+        let metrics = json!({ "width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 500 });
+        browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
+        browser.open(&address);
+        assert_eq!(browser.run(include_str!("seen.js")), json!([]), "{width}");
+    }
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+#[test]
 fn a_copy_of_the_page_works_from_any_web_server() {
     let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
     let folder = tempfile::tempdir().unwrap();
-    train_two(folder.path());
+    let of_two_and_three =
+        ["--set", "actor.tasks.filter={sizes={min=2,max=3}}", "--set", "evaluator.selection.blueprints=[]"];
+    train_two(folder.path(), &of_two_and_three);
     finished(lodestone(folder.path()).args(["serve", "first", "second", "--export", "copy"]));
     // A plain file server that knows nothing about this program.
     let mut python = Command::new("python3");
@@ -167,12 +183,13 @@ fn a_copy_of_the_page_works_from_any_web_server() {
     let mut server = Process(files.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     let line = lines(server.0.stdout.take().unwrap()).next().unwrap();
     let address = &line[line.find("http://").unwrap()..line.find("/)").unwrap()];
-    let browser = Browser::start(&driver, folder.path());
-    browser.open(&format!("{address}/copy/"));
+    let browser = Browser::start(&driver, folder.path(), &format!("{address}/copy/"));
     browser.until("document.querySelector('#state').textContent === 'a copy'");
     // The copy starts with an episode and shows the numbers, but has no controls that would need the program.
     browser.until("replay.episode && !document.querySelector('#replay-player').hidden");
-    assert_eq!(browser.run("return replay.episode.blueprint"), "5_001");
+    let (opened, named) = (browser.run("return replay.episode.blueprint"), browser.run("return model.about.recorded"));
+    assert!(opened.as_str().is_some_and(|id| id.starts_with("3_")), "{opened} is not of the largest that were trained");
+    assert!(named.as_array().is_some_and(|ids| ids.contains(&opened) && ids.len() >= 6), "{named}");
     browser.until("document.querySelector('#groups caption')?.textContent.includes('weights')");
     assert_eq!(browser.run("return document.querySelector('#draw, #stage-again, #replay-ask, footer')"), Value::Null);
     browser.element("#stage-agent input[value=expert]").click();

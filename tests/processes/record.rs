@@ -40,8 +40,9 @@ fn an_interrupted_recording_has_whole_episodes() {
     let played = folder.path().join("played");
     let names = names(&played);
     assert!((1..10_000).contains(&names.len()), "{} episodes", names.len());
-    for (number, name) in names.iter().enumerate() {
-        assert_eq!(*name, format!("{number:05}-2_000.trajectory"));
+    // Numbers may be missing, because several episodes run at once.
+    for name in &names {
+        assert!(name.ends_with("-2_000.trajectory"), "{name}");
         let episode = decode_recording(&std::fs::read(played.join(name)).unwrap()).unwrap();
         assert!(episode.episode_stats.is_some(), "{name} is only part of an episode");
     }

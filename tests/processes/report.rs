@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use runlog::RunPaths;
+use runlog::{History, RunPaths};
 
 use crate::support::program::{lodestone, names, printed, printed_json, refused};
 use crate::support::written::{write_run, write_sweep};
@@ -38,18 +38,25 @@ fn tables_are_written() {
     assert_eq!((summary["n_evaluations"].as_u64(), summary["n_env_steps"].as_u64()), (Some(3), Some(700)));
     assert_eq!(summary["groups"][0]["name"], "train 2-6");
     assert_eq!(summary["groups"][0]["success"]["n_episodes"], 8);
+    assert_eq!(
+        (&summary["groups"][0]["acting"], &summary["groups"][0]["stable_success"]["n_episodes"]),
+        (&"greedy".into(), &8.into())
+    );
     assert_eq!(summary["files"].as_array().unwrap().len(), plain.len());
+
+    // Where only sampled actions were evaluated, the tables are of them.
+    let mut evaluations = History::read(&RunPaths::new(folder.path().join("other")).history()).unwrap();
+    let scores = &mut evaluations[0].blueprints;
+    scores.iter_mut().for_each(|score| std::mem::swap(&mut score.greedy, &mut score.sampled));
+    let sampled = RunPaths::new(folder.path().join("sampled"));
+    History::open(&sampled.history()).unwrap().append(&evaluations[0]).unwrap();
+    assert_eq!(printed_json(&mut report(folder.path(), &["sampled", "--json"]))["acting"], "sampled");
 
     let read = |file: &str| std::fs::read_to_string(folder.path().join(file)).unwrap();
     let rows = "split,n_blocks,blueprint,0,500,700\ntrain,2,2_000,1,1,1\ntrain,2,2_001,1,1,1\n";
     assert_eq!(read("run/report/success.csv"), rows);
     let curves = read("run/report/curves.csv");
     assert!(curves.starts_with("group,n_env_steps,") && curves.contains("\ntrain 2-6,500,2,8,1,"), "{curves}");
-
-    let stdout = printed(&mut report(folder.path(), &["run", "--minus", "other", "--out", "new/tables"]));
-    // Only the blueprint that both runs evaluated, without a difference.
-    assert_eq!(read("new/tables/difference.csv"), "split,n_blocks,blueprint,0\ntrain,2,2_001,0\n");
-    assert!(stdout.contains("at most 10 environment steps apart"), "{stdout}");
 
     printed(&mut report(folder.path(), &["run", "--out", "beside", "--beside", "other", "run"]));
     let table = read("beside/comparison.csv");
@@ -105,15 +112,14 @@ fn what_cannot_be_shown_is_named_with_what_to_do() {
         (&["bare"][..], 66, &["bare/eval.db", "evaluator --run-dir"][..]),
         (&["gone"], 66, &["gone does not exist"]),
         (&["newer"], 66, &["newer/eval.db", "schema version 9", "use the newer program"]),
-        (&["empty"], 66, &["empty/eval.db", "no evaluation yet"]),
+        (&["empty"], 66, &["empty/eval.db", "no evaluation yet", "--resume"]),
         (&["run", "--acting", "sampled"], 66, &["no evaluation of sampled actions", "use --acting greedy"]),
-        (&["run", "--minus", "strange"], 66, &["run and strange", "no blueprint in common", "evaluator.selection"]),
         (&["run", "--beside", "strange"], 66, &["no blueprint", "run and the runs beside it", "evaluator.selection"]),
         (&["run", "--beside", "empty"], 66, &["empty/eval.db", "no evaluation yet"]),
-        (&["run", "--minus", "bare"], 66, &["bare/eval.db", "no history"]),
+        (&["run", "--beside", "bare"], 66, &["bare/eval.db", "no history"]),
         (&["begun"], 66, &["no run of begun is done yet"]),
         (&["sweep", "--acting", "sampled"], 66, &["sweep has no evaluation of sampled actions", "use --acting greedy"]),
-        (&["sweep", "--minus", "run"], 2, &["--minus and --beside compare runs, and RUN is a sweep"]),
+        (&["sweep", "--beside", "run"], 2, &["--beside compares runs, and RUN is a sweep"]),
         (&["run", "--acting", "mod"], 2, &["--acting", "mod", "sampled"]),
         (&[], 2, &["<RUN>"]),
     ] {

@@ -6,11 +6,9 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use crate::support::played::{errors, played};
-
-/// Keys, as private-use code points of the WebDriver protocol.
-const TAB: &str = "\u{e004}";
-const ENTER: &str = "\u{e007}";
-const RIGHT: &str = "\u{e014}";
+use crate::support::program::lodestone;
+use crate::support::served::{page, train};
+use crate::support::webdriver::{Browser, ENTER, RIGHT, TAB};
 
 #[test]
 fn a_link_shows_the_same_picture() {
@@ -26,11 +24,16 @@ fn a_link_shows_the_same_picture() {
     browser.open(&link);
     shows("2_001", 4.0);
     assert!(browser.text("#replay-note").starts_with("The expert builds step (2_001), start 4"));
-    // A turned camera, a step and a hidden goal come back with the address.
+    // A turned camera, a step, a hidden goal and the source of attention come back with the address.
     browser.element("#replay").press(&format!("{RIGHT}++."));
     browser.element("#replay-ghost").click();
     browser.until("location.search.includes('camera=') && location.search.includes('step=5')");
-    browser.until("location.search.includes('goal=hidden')");
+    let look = |source: &str| {
+        let choose = "const eye = document.querySelector('#replay-eye'); eye.dispatchEvent(new Event('change'))";
+        browser.run(&choose.replace("; ", &format!("; eye.value = {source}; ")));
+    };
+    look("2");
+    browser.until("location.search.includes('goal=hidden') && location.search.includes('eye=2')");
     let (turned, seen) = (address(), picture());
     browser.open("about:blank");
     browser.open(&turned);
@@ -39,6 +42,7 @@ fn a_link_shows_the_same_picture() {
     // The back button leads to the episode before, from which it started.
     browser.element("#stage-previous").click();
     browser.until("replay.episode.blueprint === '2_000' && location.search.includes('blueprint=2_000')");
+    look("-1");
     browser.run("setTimeout(() => history.back())");
     shows("2_001", 5.0);
     assert_eq!((address(), picture()), (turned, seen));
@@ -46,15 +50,50 @@ fn a_link_shows_the_same_picture() {
     let video = "const answer = await fetch('/api/play.mp4?blueprint=2_001&agent=expert&seed=3');
         return [answer.headers.get('content-type'), new TextDecoder().decode((await answer.arrayBuffer()).slice(4, 8))]";
     assert_eq!(browser.run(video), json!(["video/mp4", "ftyp"]));
-    // The policy and the expert build in step.
+    // The policy and the expert build in step, and nothing follows by itself.
+    browser.run("document.querySelector('#stage-onward').checked = false");
     browser.element("#stage-both").click();
     browser.until("replay.views.map(({ episode }) => episode.actor).join() === 'policy,expert'");
     browser.until("!replay.playing && location.search.includes('both=1')");
     assert!(browser.text("#beside-verdict").starts_with("Built: 1 of 1 connection in "));
+    // The picture is of both, and the video says whose it is.
+    browser.run(
+        "URL.createObjectURL = (content) => { window.content = content; return '#saved'; };
+         HTMLAnchorElement.prototype.click = function () { window.fileName = this.download; };",
+    );
+    browser.element("#replay-save").click();
+    browser.until("window.fileName?.startsWith('2_001-policy-expert-step-')");
+    let widths = "const { width } = await createImageBitmap(window.content);
+        return [width, replay.views.reduce((sum, { parts }) => sum + parts.canvas.width, 0)]";
+    let widths = browser.run(widths);
+    assert_eq!(widths[0], widths[1]);
+    browser.element("#stage-video").click();
+    browser.until("window.fileName === '2_001-policy.mp4'");
+    assert_eq!(browser.text("#stage-shared"), "This is the video of the left episode (policy).");
     browser.element("#stage-choose").click();
     browser.until("location.search.includes('open=gallery')");
     browser.run("setTimeout(() => history.back())");
     browser.until("!document.querySelector('#gallery').open");
+    assert_eq!(errors(&browser), Vec::<Value>::new());
+}
+
+#[test]
+fn a_training_shows_something_from_its_first_weights_on_and_a_link_names_them() {
+    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let late = ["--steps", "1000000000", "--web", "127.0.0.1:0", "--set", "evaluator.every={steps=500000000}"];
+    let (_run, _printed, address) = page(train(&mut lodestone(folder.path())).args(late));
+    let browser = Browser::start(&driver, folder.path(), &format!("http://{address}/"));
+    browser.until("document.querySelector('#tiles').textContent.includes('in training, nothing evaluated yet')");
+    assert_eq!(browser.text("#curves"), "No evaluation yet; the first comes after 500 M environment steps.");
+    let first = "document.querySelector('#health').firstElementChild?.textContent";
+    browser.until(&format!("{first}.startsWith('success in training') && snapshots.all.length === 1"));
+    let is_named = "replay.episode?.blueprint === '5_001' && location.search.includes(`weights=${replay.episode.weights_version}`)";
+    browser.until(is_named);
+    browser.open(&format!("http://{address}/?blueprint=5_001&step=0&weights=123456789"));
+    browser.until(&format!("{is_named} && replay.time === 0"));
+    let other = "` The link showed weights 123456789; these are ${replay.episode.weights_version}.`";
+    browser.until(&format!("document.querySelector('#replay-note').textContent.endsWith({other})"));
     assert_eq!(errors(&browser), Vec::<Value>::new());
 }
 
@@ -78,7 +117,7 @@ fn a_disturbed_episode_goes_on_from_there_and_comes_back_with_its_link() {
         const { x, y } = space.blocks[episode.goal[0][0]].position.clone().project(space.camera);
         return [(x / 2) * space.size[0], (-y / 2) * space.size[1]].map(Math.round)";
     let place: [i64; 2] = serde_json::from_value(browser.run(place)).unwrap();
-    browser.element("#replay").drag_from(place, [10, -70]);
+    browser.element("#replay").drag(place, [10, -70]);
     disturbed(1);
     browser.until("location.search.includes('disturb=9,')");
     assert_eq!(scenes("0, 10"), start);

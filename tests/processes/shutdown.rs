@@ -1,6 +1,5 @@
 //! Long commands end with a signal, and when their terminal is closed, whatever they wait for.
 
-use std::ffi::OsString;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::net::TcpListener;
@@ -12,7 +11,7 @@ use bus::Bus;
 use proto::Role;
 use serde_json::Value;
 
-use crate::support::program::{finished, kill, lines, lodestone, n_saved_steps, refused};
+use crate::support::program::{LODESTONE, command, finished, kill, lines, lodestone, n_saved_steps, refused};
 use crate::support::served::{Process, train};
 
 /// A router that takes connections and never answers.
@@ -90,18 +89,14 @@ fn closed(folder: &Path, name: &str, args: &[&str], words: &str) -> Receiver<()>
         File::open(fifo).unwrap().read_to_end(&mut Vec::new()).unwrap();
         ended.send(())
     });
-    let program = lodestone(folder);
     // The tests may run under `nohup`, which their children would inherit.
-    let mut line = OsString::from("stty rows 30 cols 100; exec env --default-signal=HUP");
-    for word in std::iter::once(program.get_program()).chain(args.iter().map(|arg| arg.as_ref())) {
-        line.push(format!(" '{}'", word.to_str().unwrap()));
+    let mut line = "stty rows 30 cols 100; exec env --default-signal=HUP".to_owned();
+    for word in [LODESTONE].iter().chain(args) {
+        line += &format!(" '{word}'");
     }
-    line.push(format!(" 3>'{}'", alive.display()));
-    let mut script = Command::new("script");
-    program.get_envs().for_each(|(variable, _)| {
-        script.env_remove(variable);
-    });
-    script.args(["--quiet", "--flush", "--command"]).arg(line).arg("/dev/null").current_dir(folder);
+    line += &format!(" 3>'{}'", alive.display());
+    let mut script = command("script", folder);
+    script.args(["--quiet", "--flush", "--command", &line, "/dev/null"]);
     script.env("TERM", "xterm").stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut script = Process(script.spawn().unwrap());
     let mut printed = String::new();
@@ -195,10 +190,8 @@ fn a_limit_of_few_open_files_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let socket = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
     for args in [&["train", "--run-dir", "run"][..], &["router", "--listen", &socket], &["eval", "--pretrained"]] {
-        let program = lodestone(folder.path());
-        let mut limited = Command::new("sh");
-        limited.args(["-c", "ulimit -n 16; exec \"$@\"", "sh"]).arg(program.get_program()).args(args);
-        limited.current_dir(folder.path());
+        let mut limited = command("sh", folder.path());
+        limited.args(["-c", "ulimit -n 16; exec \"$@\"", "sh", LODESTONE]).args(args);
         refused(&mut limited, 71, &["may have 16 files open at once", "ulimit -n 1024"]);
     }
     assert!(!folder.path().join("run").exists());

@@ -4,29 +4,19 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::program::{check_refused, lines, lodestone, printed, refused};
+use crate::support::program::{SMALL, check_refused, lines, lodestone, printed, refused};
 use crate::support::served::{Process, interrupt};
 
-/// Settings of a training that takes a moment.
-const SMALL: [&str; 10] = [
-    "learner.batch_size=256",
-    "learner.minibatch_size=256",
-    "learner.n_epochs=1",
-    "actor.n_worlds=8",
-    "evaluator.selection.blueprints=[\"2_000\",\"2_001\"]",
-    "evaluator.episodes.n_episodes=2",
-    "evaluator.episodes.acting=[\"greedy\"]",
-    "policy.network.width=16",
-    "policy.network.value_hidden=[16]",
-    "evaluator.videos.groups=[]",
+/// What the runs are evaluated on.
+const EVALUATED: [&str; 3] = [
+    "--set=evaluator.selection.blueprints=[\"2_000\",\"2_001\"]",
+    "--set=evaluator.episodes.acting=[\"greedy\"]",
+    "--set=evaluator.videos.groups=[]",
 ];
 
 fn sweep(folder: &Path, args: &[&str]) -> Command {
     let mut command = lodestone(folder);
-    command.args(["sweep", "--out", "s", "--steps", "1024"]).args(args);
-    for setting in SMALL {
-        command.args(["--set", setting]);
-    }
+    command.args(["sweep", "--out", "s", "--steps", "1024"]).args(args).args(SMALL).args(EVALUATED);
     command
 }
 

@@ -1,28 +1,29 @@
 //! A training with the real program: it learns, saves, can be evaluated and resumed, and shuts down gracefully on a
 //! signal.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::program::{finished, kill, lines, lodestone, n_saved_steps, printed_json, refused};
+use crate::support::program::{
+    LODESTONE, SMALL, command, finished, kill, lines, lodestone, n_saved_steps, printed_json, refused,
+};
 
-/// Settings small enough to run in seconds: updates of 256 steps, each of which is saved.
-const SMALL: [&str; 9] = [
-    "--set=learner.batch_size=256",
-    "--set=learner.minibatch_size=256",
-    "--set=learner.n_epochs=1",
-    "--set=learner.checkpoints.every_updates=1",
-    "--set=actor.n_worlds=8",
-    "--set=evaluator.selection.blueprints=[\"2_000\"]",
-    "--set=evaluator.episodes.n_episodes=2",
-    "--set=policy.network.width=16",
-    "--set=policy.network.value_hidden=[16]",
-];
+/// Every update is saved, and one goal evaluated.
+const SAVED: [&str; 2] =
+    ["--set=learner.checkpoints.every_updates=1", "--set=evaluator.selection.blueprints=[\"2_000\"]"];
+
+/// A small training in the folder `run`.
+fn train(folder: &Path, args: &[&str]) -> Command {
+    let mut command = lodestone(folder);
+    command.args(["train", "--run-dir", "run"]).args(SMALL).args(SAVED).args(args);
+    command
+}
 
 #[test]
 fn a_run_is_saved_evaluated_and_continued() {
     let folder = tempfile::tempdir().unwrap();
     let run_dir = folder.path().join("run");
-    let trained = finished(lodestone(folder.path()).args(["train", "--run-dir", "run", "--steps", "512"]).args(SMALL));
+    let trained = finished(&mut train(folder.path(), &["--steps", "512"]));
     assert!(String::from_utf8_lossy(&trained.stdout).contains("eval --checkpoint run"));
     let n_steps = n_saved_steps(&run_dir);
     assert!(n_steps >= 512, "{n_steps}");
@@ -32,11 +33,9 @@ fn a_run_is_saved_evaluated_and_continued() {
     let evaluations = runlog::History::read(&runlog::RunPaths::new(&run_dir).history()).unwrap();
     assert_eq!(evaluations.last().unwrap().n_env_steps, n_steps, "the last weights were evaluated as well");
 
-    let report = printed_json(
-        lodestone(folder.path())
-            .args(["eval", "--checkpoint", "run/checkpoints", "--episodes", "2", "--json"])
-            .args(["--set", "evaluator.episodes.acting=[\"sampled\"]"]),
-    );
+    let eval = ["eval", "--checkpoint", "run/checkpoints", "--episodes", "2", "--json"];
+    let sampled = ["--set", "evaluator.episodes.acting=[\"sampled\"]"];
+    let report = printed_json(lodestone(folder.path()).args(eval).args(sampled));
     assert!(report["summary"]["elapsed_s"].as_f64().unwrap() > 0.0);
     assert_eq!(report["summary"]["n_env_steps"], n_steps);
     let n_episodes = |acting: &str| report["summary"]["all"][acting]["success"]["n_episodes"].as_u64();
@@ -50,7 +49,9 @@ fn a_run_is_saved_evaluated_and_continued() {
     assert_eq!(summary["evaluation"]["n_env_steps"], summary["n_env_steps"]);
     assert!(String::from_utf8_lossy(&resumed.stderr).contains("continuing `quickstart`"));
     assert!(n_saved_steps(&run_dir) >= n_steps + 256);
-    let last = runlog::last_line(&runlog::RunPaths::new(&run_dir), "learner", |_| true).unwrap().unwrap();
+    let n_steps_of = |update: &serde_json::Value| update["n_env_steps"].as_u64().unwrap();
+    let (updates, _) = runlog::lines(&runlog::RunPaths::new(&run_dir), "learner", n_steps_of).unwrap();
+    let last = updates.last().unwrap();
     let seconds = |key: &str| last[key].as_f64().unwrap();
     assert!(seconds("run_elapsed_s") > seconds("elapsed_s"), "the time before the resume counts: {last}");
 
@@ -61,15 +62,13 @@ fn a_run_is_saved_evaluated_and_continued() {
 #[test]
 fn in_lockstep_a_resumed_run_goes_on_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
-    let train = |args: &[&str]| {
-        finished(lodestone(folder.path()).args(["train", "--lockstep"]).args(args));
-    };
     // Every update is saved, so the uninterrupted and the interrupted run start new episodes at the same points. The cut is
     // after one whole update: the last of several takes what is left of the steps that were asked for.
     for (run, steps) in [("whole", "1024"), ("cut", "256")] {
-        train(&[&["--run-dir", run, "--steps", steps], &SMALL[..]].concat());
+        let train = ["train", "--lockstep", "--run-dir", run, "--steps", steps];
+        finished(lodestone(folder.path()).args(train).args(SMALL).args(SAVED));
     }
-    train(&["--resume", "cut", "--steps", "1024"]);
+    finished(lodestone(folder.path()).args(["train", "--lockstep", "--resume", "cut", "--steps", "1024"]));
     let newest = |run: &str| {
         folder.path().join(run).join(format!("checkpoints/step-{}", n_saved_steps(&folder.path().join(run))))
     };
@@ -82,22 +81,10 @@ fn in_lockstep_a_resumed_run_goes_on_bit_by_bit() {
 /// Starts a training, sends it the signal once it learns, and returns whether it ended well and the steps it saved.
 fn signaled(signal: &str) -> (bool, u64) {
     let folder = tempfile::tempdir().unwrap();
-    let program = lodestone(folder.path());
     // The tests may run under `nohup`, which their children would inherit.
-    let mut wrapped = Command::new("env");
-    program.get_envs().for_each(|(name, _)| {
-        wrapped.env_remove(name);
-    });
-    let mut child = wrapped
-        .arg("--default-signal=HUP")
-        .arg(program.get_program())
-        .args(["train", "--run-dir", "run"])
-        .args(SMALL)
-        .current_dir(folder.path())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut training = command("env", folder.path());
+    training.args(["--default-signal=HUP", LODESTONE, "train", "--run-dir", "run"]).args(SMALL).args(SAVED);
+    let mut child = training.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut lines = lines(child.stdout.take().unwrap());
     // The learner's first line means that everything is running and has learned.
     assert!(lines.any(|line| line.contains("steps/s")));
@@ -118,13 +105,8 @@ fn a_signal_drains_and_saves() {
 #[test]
 fn a_signal_drains_and_saves_though_nobody_reads_what_is_said() {
     let folder = tempfile::tempdir().unwrap();
-    let mut child = lodestone(folder.path())
-        .args(["train", "--run-dir", "run", "--steps", "40960"])
-        .args(SMALL)
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut training = train(folder.path(), &["--steps", "40960"]);
+    let mut child = training.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert!(lines(child.stdout.take().unwrap()).any(|line| line.contains("steps/s")));
     kill("-TERM", child.id());
@@ -162,18 +144,15 @@ fn training_that_diverges_stops_and_keeps_usable_weights() {
 
     // With another rate, the run goes on from there.
     let n_steps = (n_saved_steps(&run) + 256).to_string();
-    finished(
-        lodestone(folder.path())
-            .args(["train", "--resume", "run", "--steps", &n_steps])
-            .args(["--set", "learner.optimizer.learning_rate=1e-3"]),
-    );
+    let resume = ["train", "--resume", "run", "--steps", &n_steps, "--set", "learner.optimizer.learning_rate=1e-3"];
+    finished(lodestone(folder.path()).args(resume));
     assert!(n_saved_steps(&run) >= n_steps.parse().unwrap());
 }
 
 #[test]
 fn weights_with_which_no_policy_can_act_are_refused_wherever_they_are_read() {
     let folder = tempfile::tempdir().unwrap();
-    finished(lodestone(folder.path()).args(["train", "--run-dir", "run", "--steps", "256"]).args(SMALL));
+    finished(&mut train(folder.path(), &["--steps", "256"]));
     // Earlier versions saved such weights.
     let checkpoints = folder.path().join("run/checkpoints");
     let mut checkpoint = learner::Checkpoint::read_latest(&checkpoints).unwrap().checkpoint;

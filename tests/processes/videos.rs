@@ -6,15 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Output, Stdio};
 
 use crate::support::judges::{output_of, python};
-use crate::support::program::{finished, kill, lines, lodestone, refused};
+use crate::support::program::{SMALL, finished, kill, lines, lodestone, refused};
 use crate::support::served::{Process, page};
 
-/// Settings small enough to run in seconds, with a goal that an untrained policy builds in some episodes.
-const SMALL: [&str; 7] = [
-    "--preset=smoke",
-    "--set=learner.batch_size=256",
-    "--set=learner.minibatch_size=256",
-    "--set=actor.n_worlds=8",
+/// A goal that an untrained policy builds in some episodes.
+const EVALUATED: [&str; 3] = [
     "--set=evaluator.selection.blueprints=[\"2_000\"]",
     "--set=evaluator.selection.sizes=[2,2]",
     "--set=evaluator.episodes.n_episodes=4",
@@ -42,7 +38,8 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let run = folder.path().join("run");
     let endpoint = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
     let mut training = lodestone(folder.path());
-    training.args(["train", "--run-dir", "run", "--listen", &endpoint]).args(SMALL).env("RUST_LOG", "evaluator=debug");
+    training.args(["train", "--preset", "smoke", "--run-dir", "run", "--listen", &endpoint]);
+    training.args(["--steps", "1000000000"]).args(SMALL).args(EVALUATED).env("RUST_LOG", "evaluator=debug");
     let mut training = Process(training.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = lines(training.0.stderr.take().unwrap());
     let is_recorded = lines.any(|line| line.contains("a video of an evaluation"));
@@ -70,7 +67,7 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     // An exported policy works like its run, including in `play`.
     let export = ["export", "--checkpoint", "run", "--out", "policy.safetensors"];
     finished(lodestone(folder.path()).args(export));
-    refused(lodestone(folder.path()).args(export), 2, &[]);
+    refused(lodestone(folder.path()).args(export), 64, &["choose another --out"]);
     let play = ["play", "--checkpoint", "policy.safetensors", "2_001", "--episodes", "1", "--run-dir", "played"];
     let (mut playing, printed, _) = page(lodestone(folder.path()).args(play));
     let mut lines = printed.lines().map(Result::unwrap);
@@ -87,13 +84,6 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let made = files(&run.join("videos"));
     let properties = output_of(&python, "frames.py", &[&made[0].display().to_string()]);
     assert_eq!((&properties["size"], &properties["fps"]), (&serde_json::json!([640, 360]), &serde_json::json!(20.0)));
-    let pictures = output_of(&python, "pictures.py", &[&run.join("tb/evaluator/videos").display().to_string()]);
-    let (tag, pictures) = pictures.as_object().unwrap().iter().next().unwrap();
-    assert!(["train-2-6/success", "train-2-6/failure"].contains(&tag.as_str()), "{tag}");
-    let picture = &pictures[0];
-    assert_eq!((&picture["format"], &picture["size"]), (&"GIF89a".into(), &picture["screen"]));
-    assert_eq!(picture["size"], serde_json::json!([320, 200]));
-    assert!(picture["n_bytes"].as_u64().unwrap() <= 400_000);
 }
 
 #[test]

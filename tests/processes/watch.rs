@@ -60,7 +60,7 @@ async fn a_run_is_printed_once() {
         "Run default at unixsock-stream/",
         "learner heard 0 s ago, evaluator gone, heard 0 s ago",
         "Success in %: weights 800, 3 276 800 environment steps, evaluated 0 s ago",
-        "  train 2-6     100.0 ( 91.2 to 100.0)      40",
+        "  train 2-6       100.0 ( 91.2 to 100.0)      40",
         "  worst  2_000 100.0",
         "Learning: weights 812, 3 326 976 environment steps",
         "Actors: 2 alive, 0 lost; 640 steps/s",

@@ -1,12 +1,18 @@
 //! The web page of a real run: its address is printed, it updates during training, and it is gone afterwards.
 
 use std::collections::BTreeMap;
+use std::env;
+use std::fs::{self, Permissions};
 use std::io::Read;
 use std::net::{TcpListener, TcpStream};
+use std::os::unix::fs::PermissionsExt;
+use std::process::{Command, Stdio};
+use std::sync::mpsc::channel;
+use std::time::Duration;
 
 use crate::support::judges::{output_of, python};
-use crate::support::program::{lodestone, metrics, n_saved_steps, printed, refused};
-use crate::support::served::{client, endless, events, get, interrupt, page, train};
+use crate::support::program::{LODESTONE, command, lodestone, metrics, n_saved_steps, printed, refused};
+use crate::support::served::{Process, client, endless, events, get, interrupt, page, train};
 use runlog::{History, RunPaths};
 use serde_json::Value;
 
@@ -32,6 +38,25 @@ fn a_page_shows_a_run_while_it_lasts() {
     assert!(run.0.wait().unwrap().success());
     assert!(TcpStream::connect(&address).is_err());
     assert!(n_saved_steps(&folder.path().join("run")) > 0);
+}
+
+#[test]
+fn play_opens_its_page_where_there_is_a_terminal_and_a_display() {
+    let folder = tempfile::tempdir().unwrap();
+    let [opened, browser] = ["opened", "xdg-open"].map(|name| folder.path().join(name));
+    assert!(Command::new("mkfifo").arg(&opened).status().unwrap().success());
+    fs::write(&browser, "#!/bin/sh\necho \"$1\" > opened\n").unwrap();
+    fs::set_permissions(&browser, Permissions::from_mode(0o755)).unwrap();
+    let mut script = command("script", folder.path());
+    // The tests may run under `nohup`, which their children would inherit.
+    let play = format!("exec env --default-signal=HUP '{LODESTONE}' play");
+    script.args(["--quiet", "--command", &play, "/dev/null"]);
+    script.env("PATH", format!("{}:{}", folder.path().display(), env::var("PATH").unwrap())).env("DISPLAY", ":0");
+    let _playing = Process(script.stdin(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap());
+    let (tell, told) = channel();
+    std::thread::spawn(move || tell.send(fs::read_to_string(opened)));
+    let address = told.recv_timeout(Duration::from_secs(60)).expect("the browser is started").unwrap();
+    assert!(get(address.trim().strip_prefix("http://").unwrap(), "/").1.contains("<title>Lodestone</title>"));
 }
 
 #[test]

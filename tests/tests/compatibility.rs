@@ -1,13 +1,13 @@
 //! Numbers by which processes and files of different builds recognize each other. They change only if their meaning
 //! does.
 
-use std::path::Path;
-
 use burn::tensor::Device;
 use deploy::config::{ABLATIONS, Base, Config, PRESETS, merge};
-use learner::Model;
+use learner::read_model;
 use policy::Engine;
 use proto::codec::MAX_PARAMETERS;
+
+use crate::repository::root;
 
 /// The hash of each preset's network, which weights on the bus carry.
 const NETWORK_HASHES: [(&str, u64); 4] = [
@@ -30,8 +30,7 @@ fn the_networks_of_the_presets_keep_their_hashes() {
 
 #[test]
 fn the_shipped_policy_is_read_and_is_one_of_the_laptop_preset() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../deploy/pretrained/model.safetensors");
-    let model = Model::from_bytes(&std::fs::read(&path).unwrap(), &path).unwrap();
+    let model = read_model(&root().join("deploy/pretrained/model.safetensors")).unwrap();
     assert_eq!((model.weights.version.0, model.weights.n_env_steps), (731, 3_000_014));
     assert_eq!(model.weights.network_hash, network_hash("laptop"));
 }

@@ -90,12 +90,8 @@ fn crates() -> BTreeSet<String> {
 /// name.
 fn sources(folder: &str) -> BTreeSet<String> {
     let crate_folder = root().join(folder);
-    let mut found: BTreeSet<String> = ["Cargo.toml", "build.rs"]
-        .map(|name| crate_folder.join(name))
-        .iter()
-        .filter(|path| path.exists())
-        .map(|path| shown(path))
-        .collect();
+    let own = ["Cargo.toml", "build.rs"].map(|name| crate_folder.join(name));
+    let mut found: BTreeSet<String> = own.iter().filter(|path| path.exists()).map(|path| shown(path)).collect();
     for path in files(&crate_folder.join("src"), &["rs", "html", "js", "css", "toml", "proto"]) {
         let file = shown(&path);
         let folder = file.rsplit_once('/').map_or("", |(folder, _)| folder);

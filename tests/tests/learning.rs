@@ -46,9 +46,9 @@ impl Ring {
 
     fn update(&mut self) {
         let weights = self.learner.weights();
-        while !self.learner.ready() {
+        while self.learner.mailbox().n_steps() < self.config.learner.batch_size {
             for segment in self.worlds.step(&weights, false).unwrap() {
-                self.learner.ingest(segment).unwrap();
+                self.learner.mailbox().push_beyond_capacity(segment).unwrap();
             }
         }
         self.learner.update_from_mailbox().unwrap();

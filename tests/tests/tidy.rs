@@ -38,12 +38,8 @@ fn hits(extensions: &[&str], words: &[&str]) -> Vec<String> {
     let mut hits = Vec::new();
     for path in files(root(), extensions) {
         for (number, line) in read(&path).lines().enumerate() {
-            hits.extend(
-                words
-                    .iter()
-                    .filter(|word| line.contains(**word))
-                    .map(|word| format!("{}:{}: {word}", shown(&path), number + 1)),
-            );
+            let found = words.iter().filter(|word| line.contains(**word));
+            hits.extend(found.map(|word| format!("{}:{}: {word}", shown(&path), number + 1)));
         }
     }
     hits

@@ -3,7 +3,8 @@
 use proto::{EpisodeStats, RewardTerms, WeightsVersion};
 
 use super::*;
-use crate::task::TaskFilter;
+use crate::config::ActorConfig;
+use crate::task::{TaskConfig, TaskFilter};
 use crate::toy::{self, Toy, id};
 
 /// Untrained values are within a few standard deviations (0.001) of the mean in the weights.
@@ -11,17 +12,9 @@ const VALUE: f32 = 5.0;
 
 fn rollout(scripts: &[&[Status]], seed: u64) -> Rollout<Toy> {
     let tasks = TaskConfig { filter: TaskFilter::Sizes { min: 2, max: 3 }, ..Default::default() };
-    let setup = RolloutSetup {
-        catalog: Catalog::builtin().clone(),
-        policy: toy::policy(),
-        settings: Default::default(),
-        tasks,
-        segment_len: 3,
-        identity: toy::identity(),
-        seed,
-    };
+    let setup = toy::setup(ActorConfig { segment_len: 3, tasks, ..Default::default() });
     let worlds = scripts.iter().map(|script| Toy::new(script)).collect();
-    Rollout::new(setup, worlds, &toy::weights(0, VALUE)).unwrap()
+    Rollout::new(setup, 1, seed, worlds, &toy::weights(0, VALUE)).unwrap()
 }
 
 fn run(rollout: &mut Rollout<Toy>, n_steps: usize) -> Vec<Trajectory> {
@@ -35,8 +28,9 @@ fn segments_end_with_a_cut_a_success_and_the_time_limit() {
     let script = [Running, Running, Running, Success, Running, TimeLimit];
     let segments = run(&mut rollout(&[&script], 1), 6);
     let [cut, success, time_limit] = &segments[..] else { panic!("{} segments", segments.len()) };
-    assert_eq!((cut.status, cut.episode_stats), (Running, None));
-    assert_eq!((success.status, time_limit.status), (Success, TimeLimit));
+    assert_eq!((cut.status, cut.transitions.len(), cut.episode_stats), (Running, 3, None));
+    assert_eq!((success.status, success.first_step, success.transitions.len()), (Success, 3, 1));
+    assert_eq!((time_limit.status, time_limit.first_step), (TimeLimit, 0));
     // The script's rewards are 1 to 6.
     let of_terms = |connected| RewardTerms { connected, ..RewardTerms::default() };
     assert_eq!(success.episode_stats, Some(EpisodeStats { success: true, n_steps: 4, episode_return: of_terms(10.0) }));
@@ -64,13 +58,7 @@ fn diverged_episodes_are_dropped_and_counted() {
     // The first 3 steps of each episode of 5 were cut before it diverged.
     assert_eq!(segments.len(), 2);
     assert!(segments.iter().all(|segment| segment.status == Running && segment.first_step == 0));
-    let expected = RolloutCounters {
-        n_env_steps: 10,
-        n_segments: 2,
-        n_diverged_episodes: 2,
-        n_diverged_steps: 4,
-        ..Default::default()
-    };
+    let expected = RolloutCounters { n_env_steps: 10, n_segments: 2, n_episodes: 0, n_diverged_episodes: 2 };
     assert_eq!(rollout.counters(), expected);
 }
 
@@ -101,15 +89,22 @@ fn a_restart_equals_a_fresh_rollout() {
 
 #[test]
 fn new_weights_act_from_the_next_step_and_move_the_tasks() {
-    let mut rollout = rollout(&[&[Status::Running, Status::TimeLimit]], 1);
+    use Status::{Running, TimeLimit};
+    let mut rollout = rollout(&[&[Running, Running, Running, TimeLimit]], 1);
     run(&mut rollout, 1);
     let mut weights = toy::weights(4, 2.0 * VALUE);
     weights.task_probabilities = [(id("3_002"), 1.0)].into();
     rollout.set_weights(&weights).unwrap();
-    let segments = run(&mut rollout, 3);
-    // The first episode began with version 0, which its segment carries; later ones follow the new probabilities.
+    let segments = run(&mut rollout, 6);
+    // The first segment began with version 0. After the cut, the rest of its episode has version 4 alone.
     assert_eq!((segments[0].weights_version, rollout.version()), (WeightsVersion(0), WeightsVersion(4)));
-    assert_eq!((segments[1].weights_version, &segments[1].task.blueprint), (WeightsVersion(4), &id("3_002")));
+    assert_eq!((segments[1].weights_version, segments[1].first_step), (WeightsVersion(4), 3));
+    // Later episodes follow the new probabilities.
+    assert_eq!((segments[2].weights_version, &segments[2].task.blueprint), (WeightsVersion(4), &id("3_002")));
+    // The oldest version counts, also where an actor falls back to it.
+    run(&mut rollout, 2);
+    rollout.set_weights(&toy::weights(3, VALUE)).unwrap();
+    assert_eq!(run(&mut rollout, 2)[0].weights_version, WeightsVersion(3));
 }
 
 #[test]

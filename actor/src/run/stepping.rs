@@ -2,35 +2,32 @@
 
 use std::sync::Arc;
 
-use environment::{EnvironmentConfig, World};
+use environment::World;
 use policy::{Policy, PolicyError};
-use proto::{Valid, Weights};
+use proto::Weights;
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 
 use super::shared::{Progress, Shared};
-use crate::rollout::{Rollout, RolloutError, RolloutSetup};
-use crate::segment::Identity;
-use crate::streams::Life;
+use crate::rollout::{Rollout, RolloutError};
+use crate::setup::ActorSetup;
+use crate::streams::thread_seed;
 
 /// Newest weights as they arrive.
 type Arrivals = watch::Receiver<Option<Arc<Weights>>>;
 
-/// Runs a stepping thread, which may wait on the runtime that started it. `setup` has the seed of the run.
+/// Runs a stepping thread of a process that started at `epoch`. It may wait on the runtime that started it.
 pub(super) fn step_worlds(
-    mut setup: RolloutSetup,
-    environment: &Valid<EnvironmentConfig>,
-    n_worlds: usize,
+    setup: ActorSetup,
+    epoch: u64,
     mut weights: Arrivals,
     shared: &Shared,
     thread_idx: usize,
 ) -> anyhow::Result<()> {
-    let worlds = (0..n_worlds).map(|_| World::new(environment)).collect();
+    let worlds = setup.worlds();
     let Some(first) = first_usable(&setup, &mut weights, shared)? else { return Ok(()) };
-    let Identity { actor, epoch, .. } = setup.identity.clone();
-    let life = Life { run_seed: setup.seed, actor, epoch, version: first.version };
-    setup.seed = life.thread_seed(thread_idx);
-    let rollout = Rollout::new(setup, worlds, &first)?;
+    let seed = thread_seed(setup.seed, &setup.id, epoch, first.version, thread_idx);
+    let rollout = Rollout::new(setup, epoch, seed, worlds, &first)?;
     let mut stepper = Stepper { rollout, current: first, previous: None };
     while !shared.stop.is_cancelled() {
         if weights.has_changed().unwrap_or(false) {
@@ -60,7 +57,7 @@ pub(super) fn step_worlds(
 
 /// Waits for the first usable weights; `None` if the actor stops first.
 fn first_usable(
-    setup: &RolloutSetup,
+    setup: &ActorSetup,
     weights: &mut Arrivals,
     shared: &Shared,
 ) -> Result<Option<Arc<Weights>>, PolicyError> {

@@ -3,16 +3,15 @@
 use std::collections::BTreeSet;
 
 use blueprints::{BlockIdx, Catalog};
-use environment::EnvironmentConfig;
-use policy::{BlockMask, Network};
+use policy::{Network, parameters};
 use proto::metrics::ActorDrops;
-use proto::{Status, Valid, Weights, WeightsVersion};
+use proto::{Status, Weights, WeightsVersion};
 use tokio::sync::mpsc;
 
 use super::*;
 use crate::config::{ActorConfig, FullBacklog};
 use crate::task::{TaskConfig, TaskFilter};
-use crate::toy;
+use crate::toy::{self, setup};
 
 fn config() -> ActorConfig {
     ActorConfig {
@@ -23,13 +22,6 @@ fn config() -> ActorConfig {
         backlog_limit: 8,
         full_backlog: FullBacklog::Pause,
     }
-}
-
-fn setup(config: ActorConfig) -> ActorSetup {
-    let environment = Valid::new(EnvironmentConfig { episode_steps: 6, ..Default::default() }).unwrap();
-    let catalog = Catalog::builtin().clone();
-    let config = Valid::new(config).unwrap();
-    ActorSetup { config, policy: toy::policy(), environment, id: toy::identity().actor, seed: 1, catalog }
 }
 
 /// Fails a test that would otherwise hang.
@@ -65,8 +57,8 @@ impl Actor {
 
 #[test]
 fn an_actor_that_waits_is_not_said_to_stand_still() {
-    let mut speed = Speed::default();
-    let mut at = |seconds, n_env_steps| speed.at(Duration::from_secs(seconds), n_env_steps);
+    let mut reports = VecDeque::new();
+    let mut at = |seconds, n_env_steps| steps_per_s(&mut reports, Duration::from_secs(seconds), n_env_steps);
     assert_eq!((at(2, 400), at(4, 400), at(8, 400)), (200.0, 100.0, 50.0));
     assert_eq!(at(20, 1000), 50.0);
     // Since 8 s: the report before the last half minute.
@@ -145,43 +137,27 @@ async fn it_waits_for_the_first_weights_and_refuses_other_networks() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_actor_with_other_settings_than_its_run_ends_and_names_the_first() {
-    let other = |change: fn(&mut ActorSetup)| {
-        let mut theirs = setup(config());
-        change(&mut theirs);
-        theirs.settings()
-    };
-    let cases = [
-        (
-            other(|s| s.environment = s.environment.with(|worlds| worlds.episode_steps = 7).unwrap()),
-            "environment.episode_steps is 7 there and 6 here",
-        ),
-        (
-            other(|s| s.policy = s.policy.with(|policy| policy.mask = BlockMask::Blueprint).unwrap()),
-            r#"policy.mask is "blueprint" there and "none" here"#,
-        ),
-    ];
-    for (theirs, difference) in cases {
-        // With the first weights, and after the learner was replaced.
-        for first in [theirs.clone(), setup(config()).settings()] {
-            let is_late = first != theirs;
-            // No learner takes segments, and the actor must not pause for one.
-            let actor = Actor::start(ActorConfig { full_backlog: FullBacklog::DropOldest, ..config() }).await;
-            let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
-            let publisher = actor.bus.weights_publisher().await.unwrap();
-            publisher.publish(Arc::new(Weights { settings: first, ..toy::weights(0, 1.0) })).await.unwrap();
-            if is_late {
-                within(metrics.recv()).await.unwrap();
-                publisher
-                    .publish(Arc::new(Weights { settings: theirs.clone(), ..toy::weights(1, 1.0) }))
-                    .await
-                    .unwrap();
-            }
-            let error = within(actor.task).await.unwrap().unwrap_err();
-            let sentence = format!("weights {} are of a run with other settings: {difference}", u8::from(is_late));
-            assert_eq!(format!("{error:#}"), sentence);
-            assert_eq!(actor.bus.counts().weights_refused_total, 1);
-            actor.bus.close().await;
+    let mut theirs = setup(config());
+    theirs.environment = theirs.environment.with(|worlds| worlds.episode_steps = 7).unwrap();
+    let theirs = theirs.settings();
+    // With the first weights, and after the learner was replaced.
+    for first in [theirs.clone(), setup(config()).settings()] {
+        let is_late = first != theirs;
+        // No learner takes segments, and the actor must not pause for one.
+        let actor = Actor::start(ActorConfig { full_backlog: FullBacklog::DropOldest, ..config() }).await;
+        let mut metrics = actor.bus.metrics_subscriber("actor/toy").await.unwrap();
+        let publisher = actor.bus.weights_publisher().await.unwrap();
+        publisher.publish(Arc::new(Weights { settings: first, ..toy::weights(0, 1.0) })).await.unwrap();
+        if is_late {
+            within(metrics.recv()).await.unwrap();
+            publisher.publish(Arc::new(Weights { settings: theirs.clone(), ..toy::weights(1, 1.0) })).await.unwrap();
         }
+        let error = within(actor.task).await.unwrap().unwrap_err();
+        let difference = "environment.episode_steps is 7 there and 6 here";
+        let sentence = format!("weights {} are of a run with other settings: {difference}", u8::from(is_late));
+        assert_eq!(format!("{error:#}"), sentence);
+        assert_eq!(actor.bus.counts().weights_refused_total, 1);
+        actor.bus.close().await;
     }
 }
 
@@ -207,7 +183,7 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
     let actor = start(&bus);
     let alive = bus.alive(Role::Actor).await.unwrap();
     within(alive.watch().wait_for(|names| names.contains("toy"))).await.unwrap();
-    let sender = bus.trajectory_sender(&toy::identity().actor).await.unwrap();
+    let sender = bus.trajectory_sender(&toy::actor()).await.unwrap();
     sender.wait_for_learner().await;
     // Nobody owns the name until the server knows its token. Then, one of two processes in turns is refused.
     let mut n_accepted = 0;
@@ -240,19 +216,17 @@ async fn an_actor_whose_name_is_another_s_ends_and_says_so() {
 /// goal. In the trial's scene, it does not.
 fn trap(version: u64) -> Weights {
     let mut weights = toy::weights(version, 1.0);
-    let config = toy::policy();
+    let config = toy::small_policy();
     let network = Network::init(&config.network, &config.sizes(), 1, &policy::DeviceKind::Cpu.open().unwrap());
     let goal = Catalog::builtin().iter().next().unwrap();
-    let mut at = 0;
-    for spec in network.table() {
+    for (spec, span) in parameters::spans(network.table()) {
         if spec.name.ends_with("input_global.w") {
             for stray in BlockIdx::all().filter(|block| !goal.contains(*block)) {
                 // Global features 9..25 encode which block it holds.
-                let row = at + (9 + stray.get()) * spec.shape[1];
+                let row = span.start + (9 + stray.get()) * spec.shape[1];
                 weights.parameters[row..row + spec.shape[1]].fill(1e6);
             }
         }
-        at += spec.len();
     }
     weights.normalization.value_std = 1e4;
     weights

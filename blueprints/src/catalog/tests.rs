@@ -16,7 +16,7 @@ fn bytes_that_are_no_text_are_named_with_their_line() {
 }
 
 #[test]
-fn a_folder_without_blueprints_is_not_an_empty_list() {
+fn a_path_without_blueprints_is_not_an_empty_list() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let message = read_files(&folder).unwrap_err().to_string();
     assert_eq!(
@@ -24,6 +24,9 @@ fn a_folder_without_blueprints_is_not_an_empty_list() {
         format!("the folder {} holds no blueprint; name one with files called *.toml", folder.display())
     );
     assert_eq!(Catalog::load(&folder).unwrap_err().to_string(), message);
+    let nowhere = folder.join("nowhere");
+    let message = read_files(&nowhere).unwrap_err().to_string();
+    assert_eq!(message, format!("cannot read {}: there is no such file or folder", nowhere.display()));
 }
 
 #[test]
@@ -42,11 +45,4 @@ fn hidden_names_in_a_folder_are_passed_over() {
     assert!(matches!(read_files(&copy), Err(CatalogError::NotText { .. })));
     fs::remove_file(folder.path().join(name)).unwrap();
     assert!(matches!(read_files(folder.path()), Err(CatalogError::Empty(_))));
-}
-
-#[test]
-fn a_path_with_nothing_is_told_so() {
-    let nowhere = Path::new(env!("CARGO_MANIFEST_DIR")).join("nowhere");
-    let message = read_files(&nowhere).unwrap_err().to_string();
-    assert_eq!(message, format!("cannot read {}: there is no such file or folder; check the path", nowhere.display()));
 }

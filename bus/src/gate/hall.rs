@@ -1,6 +1,7 @@
 //! Connections that are not yet members: their number is bounded, each has its time, and all are counted.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::future::Future;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -8,10 +9,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
 use tokio::task::AbortHandle;
 use tokio_util::task::TaskTracker;
 
-use super::JoinCounts;
 use super::arrival::{Arrived, Refused};
 use super::handshake;
 use super::relay::{LINGER, relay};
@@ -25,6 +26,26 @@ const MANY_PENDING: usize = MAX_PENDING / 4;
 
 /// Refusals are told at most this often.
 const NOTICE_PERIOD: Duration = Duration::from_secs(60);
+
+/// What became of the connections to a router with keys, since it started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JoinCounts {
+    /// Connections that are not yet members of the bus.
+    pub n_pending: u64,
+    /// Connections that became members.
+    pub n_joined: u64,
+    /// Connections that were turned away, for example without keys of this router, or that made room for newer ones.
+    pub n_refused: u64,
+    /// Connections that were dropped because they stood still.
+    pub n_stalled: u64,
+}
+
+impl fmt::Display for JoinCounts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { n_pending, n_joined, n_refused, n_stalled } = self;
+        write!(f, "joins: {n_joined} done, {n_pending} pending, {n_refused} refused, {n_stalled} stood still")
+    }
+}
 
 /// Where connections wait.
 #[derive(Debug)]

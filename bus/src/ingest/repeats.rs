@@ -1,7 +1,9 @@
 //! Distinguishes retries from first attempts.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::num::NonZeroUsize;
 
+use lru::LruCache;
 use proto::ActorId;
 
 /// One process of an actor: its name and start time.
@@ -11,7 +13,7 @@ pub(super) type Sender = (ActorId, u64);
 const WINDOW: u64 = 1024;
 
 /// Senders remembered; far more than a router's sessions, so that only processes that ended long ago are forgotten.
-const MAX_SENDERS: usize = 16_384;
+const MAX_SENDERS: NonZeroUsize = NonZeroUsize::new(16_384).expect("above 0");
 
 /// The state of a sequence number.
 #[derive(Debug, PartialEq, Eq)]
@@ -25,43 +27,31 @@ pub(super) enum Seen {
 }
 
 /// The sequence numbers recently taken from each sender, in bounded memory.
-#[derive(Debug, Default)]
-pub(super) struct Repeats {
-    senders: BTreeMap<Sender, Taken>,
-    /// Counts calls of `remember`; orders the senders by their latest use.
-    clock: u64,
-}
+#[derive(Debug)]
+pub(super) struct Repeats(LruCache<Sender, BTreeSet<u64>>);
 
-#[derive(Debug, Default)]
-struct Taken {
-    numbers: BTreeSet<u64>,
-    last_use: u64,
+impl Default for Repeats {
+    fn default() -> Self {
+        Self(LruCache::new(MAX_SENDERS))
+    }
 }
 
 impl Repeats {
     pub(super) fn look_up(&self, sender: &Sender, seq: u64) -> Seen {
-        let Some(taken) = self.senders.get(sender) else { return Seen::New };
-        if taken.numbers.contains(&seq) {
+        let Some(numbers) = self.0.peek(sender) else { return Seen::New };
+        if numbers.contains(&seq) {
             return Seen::Taken;
         }
-        let newest = taken.numbers.last().copied().unwrap_or_default();
+        let newest = numbers.last().copied().unwrap_or_default();
         if newest.saturating_sub(seq) >= WINDOW { Seen::Forgotten } else { Seen::New }
     }
 
     pub(super) fn remember(&mut self, sender: Sender, seq: u64) {
-        self.clock += 1;
-        if self.senders.len() >= MAX_SENDERS && !self.senders.contains_key(&sender) {
-            let oldest = self.senders.iter().min_by_key(|(_, taken)| taken.last_use).map(|(sender, _)| sender.clone());
-            if let Some(oldest) = oldest {
-                self.senders.remove(&oldest);
-            }
-        }
-        let taken = self.senders.entry(sender).or_default();
-        taken.last_use = self.clock;
-        taken.numbers.insert(seq);
-        let newest = taken.numbers.last().copied().unwrap_or(seq);
+        let numbers = self.0.get_or_insert_mut(sender, BTreeSet::new);
+        numbers.insert(seq);
+        let newest = numbers.last().copied().unwrap_or(seq);
         // Keeps the numbers newest − WINDOW + 1 ..= newest.
-        taken.numbers = taken.numbers.split_off(&newest.saturating_sub(WINDOW - 1));
+        *numbers = numbers.split_off(&newest.saturating_sub(WINDOW - 1));
     }
 }
 
@@ -71,16 +61,6 @@ mod tests {
 
     fn sender(name: &str, epoch: u64) -> Sender {
         (name.parse().unwrap(), epoch)
-    }
-
-    #[test]
-    fn sequence_number_is_taken_once_per_actor_process() {
-        let mut repeats = Repeats::default();
-        repeats.remember(sender("a", 1), 7);
-        assert_eq!(repeats.look_up(&sender("a", 1), 7), Seen::Taken);
-        assert_eq!(repeats.look_up(&sender("a", 1), 8), Seen::New);
-        assert_eq!(repeats.look_up(&sender("a", 2), 7), Seen::New);
-        assert_eq!(repeats.look_up(&sender("b", 1), 7), Seen::New);
     }
 
     #[test]
@@ -99,12 +79,16 @@ mod tests {
     #[test]
     fn least_recently_used_sender_is_forgotten() {
         let mut repeats = Repeats::default();
-        for epoch in 0..=MAX_SENDERS as u64 {
+        for epoch in 0..MAX_SENDERS.get() as u64 {
             repeats.remember(sender("a", epoch), 0);
         }
-        assert_eq!(repeats.senders.len(), MAX_SENDERS);
-        assert_eq!(repeats.look_up(&sender("a", 0), 0), Seen::New);
+        // Only what is taken counts as use: a stranger's questions keep nobody remembered.
+        repeats.remember(sender("a", 0), 1);
         assert_eq!(repeats.look_up(&sender("a", 1), 0), Seen::Taken);
+        repeats.remember(sender("b", 0), 0);
+        assert_eq!(repeats.0.len(), MAX_SENDERS.get());
+        assert_eq!(repeats.look_up(&sender("a", 0), 0), Seen::Taken);
+        assert_eq!(repeats.look_up(&sender("a", 1), 0), Seen::New);
     }
 
     #[test]

@@ -38,7 +38,7 @@ async fn actor_waits_for_a_learner() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_reconnect_after_a_router_restart() {
+async fn sessions_reconnect_after_a_router_restart_and_close_in_time_without_it() {
     let cluster = Cluster::start().await;
     let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
     let learner = Learner::start(&learner_bus, |_| Ok(())).await;
@@ -54,6 +54,9 @@ async fn sessions_reconnect_after_a_router_restart() {
     within("an ack", sender.send(&samples::running("a", 1))).await.unwrap();
     assert_eq!(learner.seqs(), [0, 1]);
     router.close().await;
+    until("the learner's absence", &mut there, |there| !there).await;
+    within("the actor's end", actor_bus.close()).await;
+    within("the learner's end", learner_bus.close()).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -65,20 +68,6 @@ async fn client_starts_before_its_router() {
     let client = within("the client", client).await.unwrap().unwrap();
     client.close().await;
     router.close().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn client_without_its_router_closes_in_time() {
-    let cluster = Cluster::start().await;
-    let (learner_bus, actor_bus) = (cluster.client().await, cluster.client().await);
-    let _learner = Learner::start(&learner_bus, |_| Ok(())).await;
-    let sender = sender(&actor_bus, "a").await;
-    within("a learner", sender.wait_for_learner()).await;
-    let mut there = sender.watch_learner();
-    cluster.router.close().await;
-    until("the learner's absence", &mut there, |there| !there).await;
-    within("the actor's end", actor_bus.close()).await;
-    within("the learner's end", learner_bus.close()).await;
 }
 
 #[test]

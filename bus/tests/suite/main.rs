@@ -11,5 +11,4 @@ mod metrics;
 #[path = "../../../proto/src/codec/tests/samples.rs"]
 mod samples;
 mod trajectories;
-mod viewer;
 mod weights;

@@ -1,4 +1,4 @@
-//! Every trajectory is answered, and taken once.
+//! Every trajectory is answered, and taken once. Actors send copies only while there are viewers.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -25,6 +25,22 @@ async fn trajectory_arrives_whole_and_is_acknowledged() {
         assert_eq!(learner.taken.lock().unwrap().last(), Some(&sent));
     }
     assert_eq!(learner.server.counts().accepted_total, 3);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn viewer_gets_copies() {
+    let cluster = Cluster::start().await;
+    let _learner = Learner::start(&cluster.router, |_| Ok(())).await;
+    let sender = sender(&cluster.client().await, "a").await;
+    let mut viewers = sender.watch_viewers();
+    assert!(!*viewers.borrow());
+    within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();
+
+    let mut viewer = cluster.client().await.trajectory_viewer(Some(&"a".parse().unwrap())).await.unwrap();
+    until("a viewer", &mut viewers, |there| *there).await;
+    let sent = samples::successful("a", 1);
+    within("an ack", sender.send(&sent)).await.unwrap();
+    assert_eq!(within("a copy", viewer.recv()).await, Some(sent));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -130,41 +146,6 @@ async fn first_of_two_live_processes_of_a_name_is_accepted() {
     assert!(matches!(answer, Err(SendError::Refused(Refusal::NameTaken))), "{answer:?}");
     let counts = learner.server.counts();
     assert_eq!((counts.received_total, counts.accepted_total, counts.name_taken_total), (5, 3, 2));
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn concurrent_actors_lose_nothing() {
-    const N_ACTORS: u64 = 6;
-    const N_EACH: u64 = 20;
-    let cluster = Cluster::start().await;
-    // A third is refused, so that both kinds of answer are in flight together.
-    let learner = Learner::start(&cluster.client().await, |t| match t.seq % 3 {
-        0 => Err(Refusal::Full),
-        _ => Ok(()),
-    })
-    .await;
-    let mut actors = tokio::task::JoinSet::new();
-    for actor in 0..N_ACTORS {
-        let bus = cluster.client().await;
-        actors.spawn(async move {
-            let name = format!("actor-{actor}");
-            let sender = sender(&bus, &name).await;
-            let (mut n_acked, mut n_refused) = (0, 0);
-            for seq in 0..N_EACH {
-                match within("an answer", sender.send(&samples::running(&name, seq))).await {
-                    Ok(_) => n_acked += 1,
-                    Err(SendError::Refused(Refusal::Full)) => n_refused += 1,
-                    Err(other) => panic!("{other}"),
-                }
-            }
-            (n_acked, n_refused)
-        });
-    }
-    // Of 0..20 the multiples of 3 are 0, 3, …, 18: 7 refused, 13 taken.
-    assert_eq!(actors.join_all().await, vec![(13, 7); N_ACTORS as usize]);
-    let counts = learner.server.counts();
-    assert_eq!((counts.received_total, counts.accepted_total, counts.full_total), (120, 78, 42));
-    assert_eq!(learner.seqs().len(), 78);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -8,11 +8,11 @@ pub(crate) type Look = fn(&LearnerMetrics) -> Option<f64>;
 
 /// Charted numbers: name in `/api/history`, name for people, and value; `None` where there is nothing to chart.
 pub(crate) const CHARTED: [(&str, &str, Look); 8] = [
-    ("share_join", "share of join", |l| share(l, Kind::Join)),
-    ("share_detach", "share of detach", |l| share(l, Kind::Detach)),
-    ("share_hold", "share of hold", |l| share(l, Kind::Hold)),
-    ("success_join", "success of join", |l| success(l, Kind::Join)),
-    ("success_detach", "success of detach", |l| success(l, Kind::Detach)),
+    ("share_join", "share of join", |l| Some(of(l, Kind::Join)?.share)),
+    ("share_detach", "share of detach", |l| Some(of(l, Kind::Detach)?.share)),
+    ("share_hold", "share of hold", |l| Some(of(l, Kind::Hold)?.share)),
+    ("success_join", "success of join", |l| of(l, Kind::Join)?.success),
+    ("success_detach", "success of detach", |l| of(l, Kind::Detach)?.success),
     ("first_proposal_entropy", "entropy 1st proposal", |l| l.proposals.as_ref().map(|p| p.first_proposal_entropy)),
     ("second_block_entropy", "entropy 2nd block", |l| l.proposals.as_ref().map(|p| p.second_block_entropy)),
     ("second_proposal_entropy", "entropy 2nd proposal", |l| l.proposals.as_ref().map(|p| p.second_proposal_entropy)),
@@ -31,14 +31,6 @@ pub(super) fn are_believable(proposals: &ProposalMetrics) -> bool {
         && kinds
             .values()
             .all(|kind| kind.n_tries <= kind.n_draws && is_share(kind.share) && kind.success.is_none_or(is_share))
-}
-
-fn share(learner: &LearnerMetrics, kind: Kind) -> Option<f64> {
-    of(learner, kind).map(|found| found.share)
-}
-
-fn success(learner: &LearnerMetrics, kind: Kind) -> Option<f64> {
-    of(learner, kind).and_then(|found| found.success)
 }
 
 fn of(learner: &LearnerMetrics, kind: Kind) -> Option<&KindMetrics> {

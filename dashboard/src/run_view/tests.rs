@@ -60,6 +60,12 @@ fn what_cannot_be_shown_is_counted_by_reason() {
         |s| s.value["groups"][0]["sampled"]["success"]["rate"] = 1.5.into(),
         unreadable,
     );
+    // Draws that cannot be.
+    let wrong = [("join", "share", json!(1.5)), ("join", "success", json!(-0.5)), ("detach", "n_tries", json!(11))];
+    for (kind, name, value) in wrong {
+        let change = |s: &mut MetricsSample| s.value["proposals"]["kinds"][kind][name] = value.clone();
+        check_refused(samples::mixture_learner(), change, unreadable);
+    }
     check_refused(samples::blueprint("2_000", 3), |s| s.value["blueprint"] = "\u{1b}[2J".into(), unreadable);
     check_refused(samples::blueprint("2_000", 3), |s| s.value["blueprint"] = "2_001".into(), unreadable);
     check_refused(samples::blueprint("2_000", 3), |s| s.value["split"] = "test".into(), unreadable);

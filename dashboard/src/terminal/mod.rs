@@ -105,20 +105,16 @@ pub async fn once(
     let its_config = config.clone();
     let start = Instant::now();
     following(config, start, shutdown, async |mut run, shutdown| {
-        let arrived = tokio::select! {
-            () = shutdown.cancelled() => return Ok(String::new()),
-            arrived = timeout(patience, run.wait_for(RunView::has_summary)) => arrived.map(|run| run.is_ok()),
-        };
-        match arrived {
+        let arrives = timeout(patience, run.wait_for(RunView::has_summary));
+        let Some(arrived) = shutdown.run_until_cancelled(arrives).await else { return Ok(String::new()) };
+        match arrived.map(|run| run.is_ok()) {
             Ok(true) => {}
             // The bus failed. `following` returns the error.
             Ok(false) => return Ok(String::new()),
             Err(_) => {
                 let link = run.borrow().link;
-                return tokio::select! {
-                    () = shutdown.cancelled() => Ok(String::new()),
-                    error = silent(link, &its_config, patience) => Err(error),
-                };
+                let error = shutdown.run_until_cancelled(silent(link, &its_config, patience)).await;
+                return error.map_or_else(|| Ok(String::new()), Err);
             }
         }
         let settled = async { while let Ok(Ok(())) = timeout(QUIET, run.changed()).await {} };
@@ -147,11 +143,7 @@ pub async fn stream(
         let mut period = tokio::time::interval(STREAM_PERIOD);
         period.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut last = Value::Null;
-        loop {
-            tokio::select! {
-                () = shutdown.cancelled() => return Ok(()),
-                _ = period.tick() => {}
-            }
+        while shutdown.run_until_cancelled(period.tick()).await.is_some() {
             let known = run.borrow_and_update().to_json(&name);
             if known != last {
                 match print(&known) {
@@ -160,12 +152,10 @@ pub async fn stream(
                 }
                 last = known;
             }
-            tokio::select! {
-                () = shutdown.cancelled() => return Ok(()),
-                // The bus failed. `following` returns the error.
-                changed = run.changed() => if changed.is_err() { return Ok(()) },
-            }
+            // The bus failed, unless this is the end. `following` returns the error.
+            let Some(Ok(())) = shutdown.run_until_cancelled(run.changed()).await else { return Ok(()) };
         }
+        Ok(())
     })
     .await
 }
@@ -192,10 +182,8 @@ async fn keep(
     start: Instant,
     shutdown: CancellationToken,
 ) -> Result<(), BusError> {
-    let bus = tokio::select! {
-        () = shutdown.cancelled() => return Ok(()),
-        opened = Bus::open(&config) => opened?,
-    };
+    let Some(opened) = shutdown.run_until_cancelled(Bus::open(&config)).await else { return Ok(()) };
+    let bus = opened?;
     let tell = |news, now| {
         run.send_if_modified(|run| match news {
             News::Metrics(samples) => {

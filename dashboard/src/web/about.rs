@@ -32,6 +32,8 @@ pub struct About {
     pub n_env_steps: Option<u64>,
     /// The goals shown first; empty for the whole catalog.
     pub blueprints: Vec<BlueprintId>,
+    /// The goals that the run trains on; empty if they are not known.
+    pub trained: Vec<BlueprintId>,
     /// All goals available for selection.
     #[serde(skip)]
     pub catalog: Arc<Catalog>,

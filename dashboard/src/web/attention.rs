@@ -29,7 +29,8 @@ pub(super) struct AttentionView {
     /// Attention on each of the 16 blocks in percent, by source and scene: that of a gripper, or the mean over the
     /// goal's blocks.
     percent: Vec<Vec<Vec<u8>>>,
-    /// The block that each block attends to most and the percent, by source and scene; empty for a gripper.
+    /// The block that each block attends to most and the percent, by source and scene; empty for a gripper. The last
+    /// one is by the mean over the heads of the last layer.
     most: Vec<Vec<Vec<(usize, u8)>>>,
 }
 
@@ -61,7 +62,7 @@ impl Observer {
         Some(AttentionView {
             weights_version: weights.version.0,
             percent: sources.iter().map(|&source| of_source(source)).collect(),
-            most: sources.iter().map(|&source| most(source)).collect(),
+            most: sources.iter().copied().map(Some).chain([None]).map(most).collect(),
             sources: sources.iter().map(ToString::to_string).collect(),
         })
     }

@@ -220,11 +220,14 @@ impl Points {
         // After a restart from an older checkpoint or from scratch, drop the points that the learner repeats.
         self.kept.retain(|point| point.0 < learner.n_env_steps);
         self.n_seen += 1;
+        let episodes = &learner.episodes;
         let mut value = json!({
             "elapsed_s": learner.elapsed_s.max(learner.run_elapsed_s),
             "n_env_steps": learner.n_env_steps,
             "n_episodes": learner.n_episodes,
             "weights_version": learner.weights_version.0,
+            "success": (episodes.success.n_episodes > 0).then_some(episodes.success.rate),
+            "return": (episodes.success.n_episodes > 0).then(|| episodes.mean_return.total()),
             "env_steps_per_s": learner.env_steps_per_s,
             "policy_lag_mean": learner.policy_lag_mean,
             "policy_loss": learner.ppo.policy_loss,
@@ -280,6 +283,7 @@ mod tests {
         let board = Board::default();
         board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
         let point = &learned(&board)[0];
+        assert_eq!([&point["success"], &point["return"]], [0.5, 3.25]);
         for (name, value) in [("share_hold", 0.2), ("success_join", 0.125), ("second_proposal_entropy", 0.75)] {
             assert_eq!(point[name], json!(value), "{point}");
         }

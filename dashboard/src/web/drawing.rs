@@ -111,7 +111,7 @@ pub(super) async fn check(Extension(one_check): Extension<OneCheck>, body: Bytes
 pub(super) fn inventory() -> Value {
     let kind = |(i, of): (usize, &blueprints::BlockType)| {
         let color = TYPE_COLORS[i % TYPE_COLORS.len()];
-        json!({ "type": of.name, "word": word(&of.name), "cells": of.cells, "count": of.count, "color": color })
+        json!({ "type": of.name, "word": word(of.name), "cells": of.cells, "count": of.count, "color": color })
     };
     let types: Vec<_> = Inventory::standard().types().iter().enumerate().map(kind).collect();
     json!({ "schema_version": 1, "unit_m": UNIT_M, "types": types })
@@ -132,12 +132,20 @@ mod tests {
 
     use super::*;
 
+    fn block(kind: &str, at: [i64; 3], axes: &str) -> Value {
+        json!({ "type": kind, "at": at, "axes": axes })
+    }
+
+    fn drawing(title: &str, blocks: &[Value]) -> Vec<u8> {
+        json!({ "title": title, "blocks": blocks }).to_string().into_bytes()
+    }
+
     #[test]
     fn a_drawing_comes_back_turned_and_as_a_file() {
-        let cube = |at: [i32; 3], axes: &str, is_free: bool| json!({ "type": "1x1x1", "at": at, "axes": axes, "is_free": is_free });
-        let drawn = |is_free| {
-            let blocks = [cube([0, 0, 0], "+x +y", false), cube([0, 0, 1], "+x -y", is_free)];
-            look(json!({ "title": "two cubes", "blocks": blocks }).to_string().as_bytes()).unwrap()
+        let drawn = |is_free: bool| {
+            let mut blocks = [block("1x1x1", [0, 0, 0], "+x +y"), block("1x1x1", [0, 0, 1], "+x -y")];
+            blocks[1]["is_free"] = is_free.into();
+            look(&drawing("two cubes", &blocks)).unwrap()
         };
         let repelled = drawn(false);
         let problem = &repelled.problems[0];
@@ -162,30 +170,19 @@ mod tests {
     #[test]
     fn strangers_are_told_what_is_wrong() {
         let deep = "[".repeat(30_000);
-        let many = format!(
-            "{{\"title\":\"\",\"blocks\":[{}]}}",
-            ["{\"type\":\"1x1x1\",\"at\":[0,0,0],\"axes\":\"+x +y\"}"; 900].join(",")
-        );
+        let one = |kind: &str, z: i64, axes: &str| drawing("", &[block(kind, [0, 0, z], axes)]);
+        let many = drawing("", &vec![block("1x1x1", [0; 3], "+x +y"); 900]);
         for (body, words) in [
             (&b"\xff\xfe"[..], "not text"),
             (b"", "missing field"),
             (b"{", "EOF"),
             (b"{}", "missing field `title`"),
             (b"{\"title\":\"\",\"blocks\":[],\"more\":1}", "unknown field `more`"),
-            (
-                b"{\"title\":\"\",\"blocks\":[{\"type\":\"1x1x1\",\"at\":[0,0,99999999999],\"axes\":\"+x +y\"}]}",
-                "invalid value",
-            ),
-            (
-                b"{\"title\":\"\",\"blocks\":[{\"type\":\"1x1x1\",\"at\":[0,0,2147483647],\"axes\":\"+x +y\"}]}",
-                "outside -64..=64",
-            ),
-            (b"{\"title\":\"\",\"blocks\":[{\"type\":\"0x0x0\",\"at\":[0,0,0],\"axes\":\"+x +y\"}]}", "unknown type"),
-            (
-                b"{\"title\":\"\",\"blocks\":[{\"type\":\"1x1x1\",\"at\":[0,0,0],\"axes\":\"up\"}]}",
-                "not two different axes",
-            ),
-            (many.as_bytes(), "one too many of type 1x1x1"),
+            (&one("1x1x1", 99_999_999_999, "+x +y"), "invalid value"),
+            (&one("1x1x1", 2_147_483_647, "+x +y"), "outside -64..=64"),
+            (&one("0x0x0", 0, "+x +y"), "unknown type"),
+            (&one("1x1x1", 0, "up"), "not two different axes"),
+            (&many, "one too many of type 1x1x1"),
             (format!("{{\"title\":\"\",\"blocks\":{deep}").as_bytes(), "invalid type"),
             (format!("a = {deep}").as_bytes(), "line 1"),
             (b"id = \"2_000\"", "line 1: missing field"),
@@ -197,10 +194,9 @@ mod tests {
 
     #[test]
     fn an_empty_drawing_and_a_single_block_have_no_problems_and_no_file() {
-        let nothing = look(b"{\"title\":\"\",\"blocks\":[]}").unwrap();
+        let nothing = look(&drawing("", &[])).unwrap();
         assert_eq!((nothing.problems.len(), nothing.toml), (0, None));
-        let one =
-            look(b"{\"title\":\"\",\"blocks\":[{\"type\":\"4x1x1\",\"at\":[0,0,9],\"axes\":\"+z +x\"}]}").unwrap();
+        let one = look(&drawing("", &[block("4x1x1", [0, 0, 9], "+z +x")])).unwrap();
         assert_eq!((one.problems.len(), one.toml), (0, None));
     }
 }

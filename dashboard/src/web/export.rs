@@ -1,9 +1,8 @@
 //! A static copy of the page for any web server: every response that a browser could request becomes a file.
 
 use proto::Valid;
-use std::ffi::OsString;
+use std::fs;
 use std::path::{Component, Path, PathBuf};
-use std::{fs, io};
 
 use anyhow::{Context, ensure};
 use axum::Router;
@@ -42,11 +41,13 @@ pub async fn export(finished: Finished, goals: &[BlueprintId], folder: &Path) ->
     let (first, others, sweep) = finished.into_shown();
     let unmade = || format!("cannot make the folder {}, which must be new", folder.display());
     ensure!(!folder.exists(), unmade());
-    let unfinished = Unfinished::create(folder).with_context(unmade)?;
+    // Beside its final place, because a rename works only within a file system; removed unless the copy is complete.
+    let beside = folder.parent().unwrap_or(Path::new(""));
+    let unfinished = tempfile::Builder::new().prefix(".").suffix(".part").tempdir_in(beside).with_context(unmade)?;
     let bases: Vec<String> = (0..=others.len()).map(base).collect();
     let is_sweep = sweep.is_some();
     let routes = TowerToHyperService::new(routes::routes(first, others, sweep, Places::default(), Valid::default()));
-    let mut copy = Copy { routes, folder: &unfinished.0, n_files: 0 };
+    let mut copy = Copy { routes, folder: unfinished.path(), n_files: 0 };
     for (path, _, text) in assets::all() {
         let text = text.replacen("<html ", "<html data-copy ", usize::from(path == "/"));
         copy.write(if path == "/" { "/index.html" } else { path }, text.as_bytes())?;
@@ -62,38 +63,10 @@ pub async fn export(finished: Finished, goals: &[BlueprintId], folder: &Path) ->
         copy.take(&format!("/api/picture?id={id}"), &format!("/api/picture/{id}.png")).await?;
     }
     let n_files = copy.n_files;
-    fs::rename(&unfinished.0, folder).with_context(|| format!("cannot rename the copy to {}", folder.display()))?;
+    fs::rename(unfinished.path(), folder).with_context(|| format!("cannot rename the copy to {}", folder.display()))?;
+    // There is nothing to remove any more.
+    let _ = unfinished.keep();
     Ok(n_files)
-}
-
-/// The folder of a copy that is not complete, beside its final place; removed when dropped.
-struct Unfinished(PathBuf);
-
-impl Unfinished {
-    fn create(folder: &Path) -> io::Result<Self> {
-        let mut name = OsString::from(".");
-        name.push(folder.file_name().ok_or(io::ErrorKind::InvalidInput)?);
-        name.push(".part");
-        let path = folder.with_file_name(name);
-        // Left by a process that was killed.
-        match fs::remove_dir_all(&path) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        fs::create_dir(&path)?;
-        Ok(Self(path))
-    }
-}
-
-impl Drop for Unfinished {
-    fn drop(&mut self) {
-        // Nothing is there after the copy was renamed.
-        if let Err(error) = fs::remove_dir_all(&self.0)
-            && error.kind() != io::ErrorKind::NotFound
-        {
-            tracing::warn!(%error, folder = %self.0.display(), "an incomplete copy was left behind");
-        }
-    }
 }
 
 impl Copy<'_> {
@@ -103,8 +76,11 @@ impl Copy<'_> {
         let mut recorded = Vec::new();
         // Empty if nothing can play.
         let snapshots = self.list(base, "snapshots").await?.into_iter();
-        let snapshots = snapshots.map(|n| (format!("agent=policy&snapshot={n}"), format!("policy-{n}")));
-        let agents = AGENTS.into_iter().map(|agent| (format!("agent={agent}"), agent.to_owned()));
+        // As the page shows them: with the actions that are evaluated.
+        let is_sampled = about["origin"]["settings"]["evaluator"]["episodes"]["acting"] == json!(["sampled"]);
+        let mode = if is_sampled { "sampled" } else { "greedy" };
+        let snapshots = snapshots.map(|n| (format!("agent=policy&mode={mode}&snapshot={n}"), format!("policy-{n}")));
+        let agents = AGENTS.into_iter().map(|agent| (format!("agent={agent}&mode={mode}"), agent.to_owned()));
         let builders: Vec<_> = agents.chain(snapshots).collect();
         for goal in goals.iter().filter(|_| about["can_play"] == true) {
             let mut has_all = true;

@@ -215,16 +215,11 @@ fn dropped_by_evaluator(page: &mut Scrape, state: &State) {
     let of_bus = evaluation.into_iter().flat_map(|evaluation| by_reason(&evaluation.bus));
     page.counters("evaluator_bus_dropped", "What the evaluator's session dropped or refused, by reason", of_bus);
     if let Some(videos) = evaluation.and_then(|evaluation| evaluation.videos) {
-        let VideoCounts { written_total, dropped_total, failed_total, unrecorded_total, oversized_total, .. } = videos;
+        let VideoCounts { written_total, dropped_total, failed_total, unrecorded_total, .. } = videos;
         page.counter("evaluator_videos_written", "Files of videos written", Some(written_total));
-        let reasons = [
-            ("dropped", dropped_total),
-            ("failed", failed_total),
-            ("unrecorded", unrecorded_total),
-            ("oversized", oversized_total),
-        ];
+        let reasons = [("dropped", dropped_total), ("failed", failed_total), ("unrecorded", unrecorded_total)];
         let reasons = reasons.map(|(reason, n)| (vec![label("reason", reason)], n));
-        let help = "Videos that were not made, or not for TensorBoard (oversized), by reason";
+        let help = "Videos that were not made, by reason";
         page.counters("evaluator_videos_dropped", help, reasons);
     }
 }
@@ -314,7 +309,7 @@ mod tests {
         evaluation.value["weights_version"] = 801.into();
         evaluation.value["videos"] = serde_json::json!({
             "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 3, "unrecorded_total": 4,
-            "oversized_total": 5,
+            "oversized_total": 0,
         });
         board.receive(News::Metrics(vec![evaluation]), Duration::ZERO);
         let samples = parse(&text(&board.state(), "a run").unwrap());
@@ -323,7 +318,6 @@ mod tests {
             ("dropped_total{reason=\"dropped\"}", 2.0),
             ("dropped_total{reason=\"failed\"}", 3.0),
             ("dropped_total{reason=\"unrecorded\"}", 4.0),
-            ("dropped_total{reason=\"oversized\"}", 5.0),
         ] {
             assert_eq!(samples.get(&format!("lodestone_evaluator_videos_{sample}")), Some(&value), "{samples:#?}");
         }

@@ -115,11 +115,7 @@ impl Replays {
 
     /// Records an episode on request, one at a time, until `shutdown`.
     pub(super) async fn run(self: Arc<Self>, bus: Bus, shutdown: CancellationToken) {
-        loop {
-            tokio::select! {
-                () = shutdown.cancelled() => return,
-                () = self.wanted.notified() => {}
-            }
+        while shutdown.run_until_cancelled(self.wanted.notified()).await.is_some() {
             let watched = async {
                 let mut viewer = bus.trajectory_viewer(None).await.ok()?;
                 let mut collector = Collector::default();
@@ -132,10 +128,7 @@ impl Replays {
                 };
                 tokio::time::timeout(PATIENCE, episode).await.ok()?
             };
-            let segments = tokio::select! {
-                () = shutdown.cancelled() => return,
-                segments = watched => segments,
-            };
+            let Some(segments) = shutdown.run_until_cancelled(watched).await else { return };
             let replays = self.clone();
             let json = tokio::task::spawn_blocking(move || replays.show_known(&segments?)).await;
             match json.ok().flatten() {
@@ -189,16 +182,16 @@ fn view(
 /// Returns the word for the block's type, and its number among the blocks of that type.
 fn name(inventory: &Inventory, block: BlockIdx) -> String {
     let number = inventory.same_type(block).take_while(|other| *other <= block).count();
-    format!("{} {number}", word(&inventory.block_type(block).name))
+    format!("{} {number}", word(inventory.block_type(block).name))
 }
 
-/// Returns the pose of the goal's frame according to one block: of those in the largest correct piece, the one that the
-/// plan places first.
+/// Returns the pose of the goal's frame according to one block: of those in the largest correct piece, the one that is
+/// placed first.
 fn goal_frame(goal: &Blueprint, scene: &Scene) -> [f32; 7] {
     let pieces = scene.pieces(goal);
     let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
-    let rank = |block: BlockIdx| goal.plan().and_then(|plan| goal.plan_step(plan, block)).map(|step| step.rank);
-    let first = goal.placements().iter().min_by_key(|p| (std::cmp::Reverse(size(p.block)), rank(p.block), p.block));
+    let place = |block: BlockIdx| (std::cmp::Reverse(size(block)), goal.rank(block), block);
+    let first = goal.placements().iter().min_by_key(|p| place(p.block));
     let Some(placement) = first else { return pose([0.0; 3], [0.0, 0.0, 0.0, 1.0]) };
     let at = &scene.blocks[placement.block.get()];
     let turn = UnitQuaternion::new_normalize(Quaternion::from(at.orientation));
@@ -217,15 +210,12 @@ fn pose(position: [f32; 3], orientation: [f32; 4]) -> [f32; 7] {
 impl SceneView {
     fn new(episode: &Episode, n_done: usize, scene: &Scene) -> Self {
         let reward_terms = episode.return_after(n_done);
+        let joints = scene.joints.iter();
         Self {
             blocks: scene.blocks.iter().map(|block| pose(block.position, block.orientation)).collect(),
             goal_frame: goal_frame(episode.goal(), scene),
             held: scene.grippers.iter().flatten().map(|gripper| gripper.held.map(BlockIdx::get)).collect(),
-            joints: scene
-                .joints
-                .iter()
-                .map(|joint| (joint.a.get(), joint.b.get(), joint.is_right(episode.goal())))
-                .collect(),
+            joints: joints.map(|joint| (joint.a.get(), joint.b.get(), joint.is_right(episode.goal()))).collect(),
             n_connected: episode.n_connected(n_done),
             reward: reward_terms.total(),
             reward_terms,
@@ -235,22 +225,23 @@ impl SceneView {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use std::ops::Range;
+
     use proto::{Action, EpisodeStats, Gripper, Pose, RewardTerms, Start, Task, Transition, WeightsVersion};
 
     use super::*;
 
-    /// `n_steps` steps of an episode; its last segment if `ends`.
-    pub(crate) fn segment(seed: u64, first_step: u16, n_steps: usize, ends: bool) -> Trajectory {
-        let scene = |height: f32| Scene {
-            blocks: [Pose { position: [0.0, 0.123_456, height], orientation: [0.0, 0.0, 0.0, 1.0] }; 16],
-            speeds_mps: [0.0; 16],
-            joints: Vec::new(),
-            grippers: [Some(Gripper { held: BlockIdx::all().nth(3), ..Gripper::IDLE }), Some(Gripper::IDLE)],
-            n_heavy_contacts: 0,
+    /// These steps of an episode of three, which succeeds.
+    pub(crate) fn segment(steps: Range<u16>) -> Trajectory {
+        let scene = |step: u16| {
+            let pose = Pose { position: [0.0, 0.123_456, step.into()], orientation: [0.0, 0.0, 0.0, 1.0] };
+            let grippers = [Some(Gripper { held: BlockIdx::all().nth(3), ..Gripper::IDLE }), Some(Gripper::IDLE)];
+            Scene { grippers, ..Scene::at_rest([pose; 16]) }
         };
         let reward = RewardTerms { connected: 0.5, ..RewardTerms::default() };
-        let transition = |i: usize| Transition {
-            scene: scene(i as f32),
+        let ends = steps.end == 3;
+        let transition = |step: u16| Transition {
+            scene: scene(step),
             action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; 16] },
             proposals: [None; 2],
             behavior_log_prob: 0.0,
@@ -265,14 +256,14 @@ pub(super) mod tests {
             settings_hash: 0,
             task: Task {
                 blueprint: "2_000".parse().unwrap(),
-                assignment: BlockIdx::all().collect::<Vec<_>>().try_into().unwrap(),
+                assignment: BlockIdx::array(|block| block),
                 start: Start::Scattered,
-                seed,
+                seed: 2,
             },
             behavior_policy: proto::BehaviorPolicy::Sampled,
-            first_step,
-            transitions: (0..n_steps).map(transition).collect(),
-            last_scene: scene(9.0),
+            first_step: steps.start,
+            transitions: steps.clone().map(transition).collect(),
+            last_scene: scene(steps.end),
             status: if ends { Status::Success } else { Status::Running },
             episode_stats: ends.then_some(EpisodeStats { success: true, n_steps: 3, episode_return: reward }),
         }
@@ -280,7 +271,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_hand_worked_replay() {
-        let segments = [segment(2, 0, 2, false), segment(2, 2, 1, true)];
+        let segments = [segment(0..2), segment(2..3)];
         let goal = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
         let json = serde_json::to_value(view(&segments, goal, |_| None).unwrap()).unwrap();
         assert_eq!(
@@ -294,11 +285,10 @@ pub(super) mod tests {
         assert_eq!(rewards, [0.0, 0.5, 1.0, 1.5]);
         assert_eq!(scenes[3]["reward_terms"]["connected"], 1.5);
         assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
-        // Nothing is connected, so the first block of the plan determines the goal's frame; here it stands as in the
+        // Nothing is connected, so the block that is placed first determines the goal's frame; here it stands as in the
         // goal.
         let frame = goal_frame(goal, &segments[0].transitions[0].scene);
-        let first = goal.placements().iter().find(|p| goal.plan_step(goal.plan().unwrap(), p.block).unwrap().rank == 0);
-        let placement = first.unwrap();
+        let placement = goal.placements().iter().find(|p| goal.rank(p.block) == Some(0)).unwrap();
         let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
         let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);
         assert!((at - Vector3::new(0.0, 0.1235, 0.0)).norm() < 1e-3, "{at}");

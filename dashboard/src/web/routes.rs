@@ -299,11 +299,8 @@ async fn authorize(State(guard): State<Arc<Guard>>, request: Request, next: Next
     }
     // A browser adds the cookie by itself, also for another page of this host on another port.
     if Asker::of(&request).uses_the_cookie() {
-        return guard.refuse(
-            request.headers(),
-            StatusCode::FORBIDDEN,
-            "a cookie does not let other sites use the page\n",
-        );
+        let reason = "a cookie does not let other sites use the page\n";
+        return guard.refuse(request.headers(), StatusCode::FORBIDDEN, reason);
     }
     next.run(request).await
 }

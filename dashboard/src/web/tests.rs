@@ -4,10 +4,9 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use blueprints::{BlueprintId, Catalog};
-use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig};
+use blueprints::Catalog;
 use proto::codec::encode_recording;
-use proto::{Normalization, Role, Valid, WeightsVersion};
+use proto::{Role, Valid};
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
@@ -22,6 +21,8 @@ use samples::evaluation;
 mod finished;
 #[path = "../../../runlog/src/history/samples.rs"]
 pub(super) mod samples;
+#[path = "../../../policy/tests/samples/untrained.rs"]
+mod untrained;
 
 const TOKEN: &str = "0123456789abcdef";
 
@@ -46,13 +47,13 @@ async fn serve(token: Option<&str>) -> Served {
     let token = token.map(|token| Token::from(token.to_owned()));
     let page = Page::bind(&Valid::new(WebConfig { token, ..Default::default() }).unwrap()).await.unwrap();
     let address = page.address();
-    let (policy, newest) = untrained();
+    let (policy, newest) = (untrained::small_policy(), untrained::weights());
     let (evaluations, its_evaluations) = mpsc::unbounded_channel();
     let (_, weights) = watch::channel(Some(Arc::new(newest)));
     let farewell = Farewell { ended: "the run", command: Some("a command".to_owned()) };
     let about = About { farewell, ..about(Kind::Training, "r", 5000, Catalog::builtin().clone()) };
     let stage = Stage::new(None, |order, _| match order.builder {
-        Builder::Expert => Ok(segment(order.seed, 0, 3, true)),
+        Builder::Expert => Ok(segment(0..3)),
         Builder::Policy => Err(StageError::NoWeights),
     });
     let source = Source {
@@ -69,31 +70,12 @@ async fn serve(token: Option<&str>) -> Served {
 }
 
 fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> About {
-    let blueprints = Vec::new();
+    let (blueprints, trained) = (Vec::new(), Vec::new());
     let farewell = Farewell { ended: "the program", command: None };
     let run = run.to_owned();
     let n_env_steps = Some(n_env_steps);
     let (origin, success) = (Value::Null, Value::Null);
-    About { kind, run, preset: None, n_env_steps, blueprints, catalog, farewell, origin, success }
-}
-
-/// A network small enough for tests, with its weights.
-fn untrained() -> (Valid<PolicyConfig>, Weights) {
-    let gat = GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() };
-    let network =
-        NetworkConfig { encoder: EncoderConfig::Gat(gat), width: 8, value_hidden: vec![8], ..Default::default() };
-    let policy = Valid::new(PolicyConfig { network, ..Default::default() }).unwrap();
-    let network = Network::init(&policy.network, &policy.sizes(), 1, &DeviceKind::Cpu.open().unwrap());
-    let weights = Weights {
-        version: WeightsVersion(2),
-        n_env_steps: 77,
-        network_hash: policy.hash(),
-        settings: Default::default(),
-        parameters: policy::parameters::flatten(&network),
-        normalization: Normalization { value_std: 1.0, ..Normalization::default() },
-        task_probabilities: [(BlueprintId::try_from("2_000".to_owned()).unwrap(), 1.0)].into(),
-    };
-    (policy, weights)
+    About { kind, run, preset: None, n_env_steps, blueprints, trained, catalog, farewell, origin, success }
 }
 
 /// Sends bytes and returns the whole response.
@@ -175,40 +157,26 @@ fn every_module_is_served_with_what_it_imports() {
 async fn only_what_is_meant_to_be_seen_is_served() {
     let served = serve(None).await;
     let host = format!("Host: {}\r\n", served.address);
+    for (expected, paths) in [
+        (200, "/ /app.js /style.css /icon.svg /three.js /space.js /draw.js /metrics /healthz"),
+        (200, "/api/about /api/blueprints /api/picture?id=2_000 /api/inventory /api/blueprint?id=2_000 /api/history"),
+        (202, "/api/replay"),
+        (400, "/api/play"),
+        (404, "/api/picture?id=../eval.db /api/blueprint?id=../eval.db /runs/1/api/about /api/sweep"),
+        (404, "/../Cargo.toml /%2e%2e/%2e%2e/etc/passwd //etc/passwd"),
+        (404, "/assets/app.js /app.js/../../src/web.rs /app.js%00"),
+        (405, "/api/check"),
+        (503, "/readyz"),
+    ] {
+        for path in paths.split(' ') {
+            assert_eq!(served.status(path, "").await, expected, "{path}");
+        }
+    }
     let table = [
-        ("GET / HTTP/1.1", &host[..], 200),
-        ("HEAD / HTTP/1.1", &host, 200),
-        ("GET /app.js HTTP/1.1", &host, 200),
-        ("GET /style.css HTTP/1.1", &host, 200),
-        ("GET /icon.svg HTTP/1.1", &host, 200),
-        ("GET /three.js HTTP/1.1", &host, 200),
-        ("GET /space.js HTTP/1.1", &host, 200),
-        ("GET /api/about HTTP/1.1", &host, 200),
-        ("GET /api/blueprints HTTP/1.1", &host, 200),
-        ("GET /api/picture?id=2_000 HTTP/1.1", &host, 200),
-        ("GET /api/picture?id=../eval.db HTTP/1.1", &host, 404),
-        ("GET /api/play HTTP/1.1", &host, 400),
-        ("GET /draw.js HTTP/1.1", &host, 200),
-        ("GET /api/inventory HTTP/1.1", &host, 200),
-        ("GET /api/blueprint?id=2_000 HTTP/1.1", &host, 200),
-        ("GET /api/blueprint?id=../eval.db HTTP/1.1", &host, 404),
-        ("GET /api/check HTTP/1.1", &host, 405),
+        ("HEAD / HTTP/1.1", &host[..], 200),
         ("POST /api/check HTTP/1.1", &host, 400),
         ("POST /api/check HTTP/1.1", "Host: evil.example\r\nContent-Length: 4\r\n", 403),
-        ("GET /runs/1/api/about HTTP/1.1", &host, 404),
-        ("GET /api/sweep HTTP/1.1", &host, 404),
-        ("GET /api/history HTTP/1.1", &host, 200),
-        ("GET /api/replay HTTP/1.1", &host, 202),
-        ("GET /metrics HTTP/1.1", &host, 200),
-        ("GET /healthz HTTP/1.1", &host, 200),
-        ("GET /readyz HTTP/1.1", &host, 503),
         ("POST / HTTP/1.1", &host, 405),
-        ("GET /../Cargo.toml HTTP/1.1", &host, 404),
-        ("GET /%2e%2e/%2e%2e/etc/passwd HTTP/1.1", &host, 404),
-        ("GET //etc/passwd HTTP/1.1", &host, 404),
-        ("GET /assets/app.js HTTP/1.1", &host, 404),
-        ("GET /app.js/../../src/web.rs HTTP/1.1", &host, 404),
-        ("GET /app.js%00 HTTP/1.1", &host, 404),
         ("GET / HTTP/1.1", "Host: localhost:1\r\n", 200),
         ("GET / HTTP/1.1", "Host: [::1]:80\r\n", 200),
         ("GET / HTTP/1.1", "Host: evil.example\r\n", 403),
@@ -302,18 +270,14 @@ async fn other_sites_may_link_to_the_page_but_not_use_it() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_token_keeps_others_out_but_not_probes() {
     let served = serve(Some(TOKEN)).await;
+    for path in ["/", "/api/history", "/metrics", "/nothing", "/?token=wrong", "/?token="] {
+        assert_eq!(served.status(path, "").await, 401, "{path}");
+    }
+    assert_eq!((served.status("/healthz", "").await, served.status("/readyz", "").await), (200, 503));
     let table = [
-        ("/", String::new(), 401),
-        ("/api/history", String::new(), 401),
-        ("/metrics", String::new(), 401),
-        ("/nothing", String::new(), 401),
-        ("/?token=wrong", String::new(), 401),
-        ("/?token=", String::new(), 401),
         ("/", "Authorization: Bearer wrong\r\n".to_owned(), 401),
         ("/", "Cookie: lodestone_token=wrong\r\n".to_owned(), 401),
         ("/", format!("Cookie: other={TOKEN}\r\n"), 401),
-        ("/healthz", String::new(), 200),
-        ("/readyz", String::new(), 503),
         ("/metrics", format!("Authorization: Bearer {TOKEN}\r\n"), 200),
         ("/api/history", format!("Cookie: a=b; lodestone_token={TOKEN}\r\n"), 200),
         ("/nothing", format!("Authorization: Bearer {TOKEN}\r\n"), 404),
@@ -480,7 +444,7 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
     assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
-    let recording = encode_recording(&segment(2, 0, 3, true));
+    let recording = encode_recording(&segment(0..3));
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
     let answer = json_of(&served.get("/api/recording?id=2_000.7.success.1").await);
     assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
@@ -496,7 +460,8 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     }
     // A gripper's choice is no attention of blocks.
     let most: Vec<Vec<Vec<(usize, u64)>>> = serde_json::from_value(attention["most"].clone()).unwrap();
-    assert!(most[0].is_empty() && most.last().unwrap().iter().all(|blocks| blocks.len() == 16), "{most:?}");
+    assert!(most.len() == percent.len() + 1 && most[0].is_empty());
+    assert!(most.last().unwrap().iter().all(|blocks| blocks.len() == 16), "{most:?}");
     assert!(most.iter().flatten().flatten().all(|(block, percent)| *block < 16 && (6..=100).contains(percent)));
     for id in
         ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]

@@ -63,7 +63,7 @@ impl Videos {
     }
 
     fn all(&self) -> Vec<VideoFile> {
-        self.0.as_ref().map(|run| videos(&run.videos())).unwrap_or_default()
+        self.0.as_ref().map(|run| videos(&run.videos(), "mp4")).unwrap_or_default()
     }
 }
 

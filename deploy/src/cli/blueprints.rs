@@ -13,20 +13,17 @@ pub enum BlueprintsCommand {
     /// List the blueprints of the catalog, or those in files and folders.
     List(BlueprintsArgs),
     /// Check the catalog, or blueprint files and folders.
-    Check(CheckArgs),
+    Check {
+        /// The files to check.
+        #[command(flatten)]
+        files: BlueprintsArgs,
+        /// Write the checked file, which must be the only one, to this new file, with everything filled in that it
+        /// leaves open.
+        #[arg(long, value_name = "FILE", requires = "paths")]
+        write: Option<PathBuf>,
+    },
     /// Draw blueprints as PNG pictures: one of each, with four views, and contact sheets of all.
     Show(ShowArgs),
-}
-
-/// Arguments of `blueprints check`.
-#[derive(Debug, Args)]
-pub struct CheckArgs {
-    #[command(flatten)]
-    pub(crate) files: BlueprintsArgs,
-    /// Write the checked file, which must be the only one, to this new file, with everything filled in that it leaves
-    /// open.
-    #[arg(long, value_name = "FILE", requires = "paths")]
-    pub(crate) write: Option<PathBuf>,
 }
 
 /// Arguments of `blueprints list`, and the files of `blueprints check`.
@@ -47,10 +44,10 @@ pub struct ShowArgs {
     #[arg(value_name = "FILE|ID", conflicts_with = "split")]
     pub(crate) ids: Vec<OsString>,
     /// Same as FILE|ID; may be repeated.
-    #[arg(long, value_name = "FILE|ID", conflicts_with_all = ["split", "path"])]
+    #[arg(long, value_name = "FILE|ID", conflicts_with = "split")]
     pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "SPLIT")]
     pub(crate) split: Option<Split>,
     /// Width of each blueprint's picture in pixels.
     #[arg(long, value_name = "N", default_value_t = 960, value_parser = RangedU64ValueParser::<usize>::new().range(320..=4000))]
@@ -58,9 +55,6 @@ pub struct ShowArgs {
     /// Folder for the pictures; created if it does not exist.
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Folder of blueprint files, or one file [default: the built-in catalog].
-    #[arg(long, value_name = "FILE_OR_DIR")]
-    pub(crate) path: Option<PathBuf>,
     /// Write only the contact sheets.
     #[arg(long)]
     pub(crate) only_sheets: bool,

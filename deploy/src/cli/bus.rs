@@ -54,52 +54,35 @@ pub struct HealthArgs {
     pub(crate) health_file: Option<PathBuf>,
 }
 
-/// Arguments of `healthcheck`.
-#[derive(Debug, Args)]
-pub struct HealthcheckArgs {
-    /// The file that the service writes with --health-file.
-    #[arg(long, value_name = "FILE", env = "LODESTONE_HEALTH_FILE")]
-    pub(crate) file: PathBuf,
-    /// Check only that the process is alive and making progress, not that it reaches a router.
-    #[arg(long)]
-    pub(crate) alive: bool,
-}
-
 /// Subcommands of `keys`.
 #[derive(Debug, Subcommand)]
 pub enum KeysCommand {
     /// Create a certificate authority, and a certificate and password for each role.
-    New(KeysNewArgs),
+    New {
+        /// Folder for the keys.
+        #[arg(value_name = "DIR")]
+        dir: PathBuf,
+        /// The router's certificate.
+        #[command(flatten)]
+        certificate: CertificateArgs,
+        /// Do nothing if the folder already holds keys.
+        #[arg(long)]
+        keep: bool,
+    },
     /// Issue a new certificate for the router, for other hosts or a later expiry. All other keys stay valid.
-    Router(KeysRouterArgs),
-}
-
-/// Arguments of `keys new`.
-#[derive(Debug, Args)]
-pub struct KeysNewArgs {
-    /// Folder for the keys.
-    #[arg(value_name = "DIR")]
-    pub(crate) dir: PathBuf,
-    #[command(flatten)]
-    pub(crate) certificate: CertificateArgs,
-    /// Do nothing if the folder already holds keys.
-    #[arg(long)]
-    pub(crate) keep: bool,
-}
-
-/// Arguments of `keys router`.
-#[derive(Debug, Args)]
-pub struct KeysRouterArgs {
-    /// Folder made by `keys new`, with the authority in it.
-    #[arg(value_name = "DIR")]
-    pub(crate) dir: PathBuf,
-    #[command(flatten)]
-    pub(crate) certificate: CertificateArgs,
+    Router {
+        /// Folder made by `keys new`, with the authority in it.
+        #[arg(value_name = "DIR")]
+        dir: PathBuf,
+        /// The new certificate.
+        #[command(flatten)]
+        certificate: CertificateArgs,
+    },
 }
 
 /// Hosts and lifetime of the router's certificate.
 #[derive(Clone, Debug, Args)]
-pub(crate) struct CertificateArgs {
+pub struct CertificateArgs {
     /// Name or address at which processes reach the router; may be repeated. localhost, 127.0.0.1, and ::1 are always
     /// included.
     #[arg(long, value_name = "HOST", value_delimiter = ',')]

@@ -50,16 +50,15 @@ pub struct RecordArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[group(required = true, multiple = false)]
 pub struct GoalArgs {
-    /// This blueprint: an id or a name such as scorpion, generated ones included, a file, or a folder of files; may be repeated.
+    /// This blueprint: an id or a name such as scorpion, a file, or a folder of files; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub(crate) blueprint: Vec<OsString>,
     /// All blueprints of this split: train, test, test-literal, test-longest, test-tallest, or validation; may be
     /// repeated.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "SPLIT")]
     pub(crate) split: Vec<Split>,
 }
 
-/// Parses how episodes begin.
 fn starts() -> impl TypedValueParser<Value = Starts> {
     let all = [
         ("scattered", "All blocks scattered", Starts::Scattered),

@@ -4,7 +4,7 @@ mod physical;
 mod show;
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use blueprints::catalog::{BUILTIN_FILES, read_files};
 use blueprints::checks::{CheckResult, Report, check_all};
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use super::common;
 use super::files::write_new;
-use crate::cli::{BlueprintsArgs, BlueprintsCommand, CheckArgs};
+use crate::cli::{BlueprintsArgs, BlueprintsCommand};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -39,11 +39,10 @@ struct Verdict<'a> {
     inferred: Vec<String>,
 }
 
-/// Runs the subcommand.
 pub(super) fn run(command: &BlueprintsCommand, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         BlueprintsCommand::List(args) => list(args, terminal),
-        BlueprintsCommand::Check(args) => check(args, terminal),
+        BlueprintsCommand::Check { files, write } => check(files, write.as_deref(), terminal),
         BlueprintsCommand::Show(args) => show::run(args, terminal),
     }
 }
@@ -74,16 +73,11 @@ fn row(blueprint: &Blueprint) -> Row<'_> {
     }
 }
 
-fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let (whole, args) = (&args.write, &args.files);
+fn check(args: &BlueprintsArgs, write: Option<&Path>, terminal: &Terminal) -> Result<(), Failure> {
     let files = files(&args.paths)?;
-    let written = match (whole, &files[..]) {
-        (Some(path), [(_, text)]) => Some((path, text)),
-        (Some(_), _) => {
-            return Err(Failure::Usage(format!("--write completes one file, and {} are named", files.len())));
-        }
-        (None, _) => None,
-    };
+    if write.is_some() && files.len() != 1 {
+        return Err(Failure::Usage(format!("--write completes one file, and {} are named", files.len())));
+    }
     let mut reports = check_all(files.iter().map(|(file, text)| (file.as_str(), text.as_str())));
     for report in &mut reports {
         physical::check(report)?;
@@ -94,7 +88,7 @@ fn check(args: &CheckArgs, terminal: &Terminal) -> Result<(), Failure> {
     } else {
         terminal.print(&table::render(&reports));
     }
-    if let (Some((path, text)), Some(report)) = (written, reports.first())
+    if let (Some(path), [report], [(_, text)]) = (write, &reports[..], &files[..])
         && report.blueprint.is_ok()
     {
         write_new(path, report.completed.as_ref().unwrap_or(text))?;

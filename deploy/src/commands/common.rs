@@ -1,17 +1,17 @@
 //! What several commands do.
 
-use proto::Valid;
 use std::path::PathBuf;
 
 use bus::{Bus, BusConfig, BusError};
+use proto::Valid;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::{ConfigArgs, RunArgs, Settings};
 use crate::config::Override;
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::{Origin, check_run};
-use crate::shell;
+use crate::run_dir::{Origin, RunDir, check_run};
+use crate::shell::{self, program};
 
 /// Where the run starts; prints a note if the given preset or file is ignored, or if there is no checkpoint to resume.
 pub(super) fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) -> Result<Origin, Failure> {
@@ -30,7 +30,6 @@ pub(super) fn origin(run: &RunArgs, config: &ConfigArgs, terminal: &Terminal) ->
     Ok(origin)
 }
 
-/// Prints a value as JSON.
 pub(super) fn json(value: &impl serde::Serialize, terminal: &Terminal) -> Result<(), Failure> {
     terminal.print(&serde_json::to_string_pretty(value).map_err(anyhow::Error::from)?);
     Ok(())
@@ -63,4 +62,24 @@ pub(super) async fn join_bus(config: &Valid<BusConfig>, shutdown: &CancellationT
 pub(super) fn serve_command(folders: &[PathBuf]) -> String {
     let words = folders.iter().map(|folder| shell::path(folder));
     [shell::program(), "serve".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}
+
+/// Threads that step worlds: as many as requested, or one per core available to this process.
+pub(super) fn n_threads(asked: Option<u16>) -> usize {
+    let n_cores = || std::thread::available_parallelism().map_or(1, usize::from);
+    asked.map_or_else(n_cores, usize::from)
+}
+
+/// Says where a run is, and what can be done with it.
+pub(super) fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
+    // Without a higher step limit, a complete run would stop at once.
+    let steps = if is_complete { " --steps N" } else { "" };
+    let shown = run_dir.path().display();
+    let path = shell::path(run_dir.path());
+    let program = program();
+    format!(
+        "\nsaved in {shown}\n  evaluate it: {program} eval --checkpoint {path}\n  \
+         continue it: {program} train --resume {path}{steps}\n  \
+         look at it: {program} serve {path}"
+    )
 }

@@ -1,6 +1,6 @@
 //! `completions`: shell completions, generated from the definition of the command line and the values that it takes.
 
-use blueprints::Catalog;
+use blueprints::{Catalog, Split};
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Command, CommandFactory, ValueHint};
 use clap_complete::Shell;
@@ -9,7 +9,6 @@ use crate::cli::Cli;
 use crate::config::keys;
 use crate::live::Terminal;
 
-/// Prints the completions for a shell.
 pub(super) fn completions(shell: Shell, terminal: &Terminal) {
     let mut command = with_values(Cli::command());
     let name = command.get_name().to_owned();
@@ -25,6 +24,8 @@ fn with_values(command: Command) -> Command {
         match name.as_str() {
             // The hint keeps bash from putting a space after `=`.
             "KEY=VALUE" | "KEY=V,V" => arg.value_parser(listed(settings())).value_hint(ValueHint::Other),
+            "SPLIT" => arg.value_parser(listed(Split::ALL.iter().map(ToString::to_string))),
+            "ACTING" => arg.value_parser(listed(["greedy", "sampled"].map(str::to_owned))),
             "FILE|ID" => arg.value_parser(listed(Catalog::builtin().iter().map(|goal| goal.id().to_string()))),
             "RUN" | "RUN2" | "DIR" | "DIR_OR_FILE" | "FILE_OR_RUN" => arg.value_hint(ValueHint::DirPath),
             _ => arg,

@@ -4,19 +4,20 @@ use std::time::Instant;
 
 use blueprints::Split;
 use evaluator::{
-    Endings, EvalSetup, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection, evaluate_followed, render,
-    render_endings,
+    Endings, EvalSetup, EvaluationProgress, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection,
+    evaluate_followed, render, render_endings,
 };
 use proto::Valid;
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::goals::{Goals, tell_choices};
+use super::common::{json, n_threads};
+use super::goals::Goals;
 use super::models::Source;
 use crate::cli::EvalArgs;
 use crate::config::{Base, Config, Override, merge};
 use crate::exit::Failure;
-use crate::limits;
-use crate::live::{self, EpisodeCounter, Terminal};
+use crate::live::{self, Terminal};
 
 /// What differs from the defaults in the expert's world: starts as in the table of results, and the seed of its figures.
 const OF_EXPERT: &str = "seed = 0\nevaluator.episodes.starts = \"mixed\"";
@@ -26,7 +27,7 @@ const OF_EXPERT: &str = "seed = 0\nevaluator.episodes.starts = \"mixed\"";
 /// The world and the seed come from the configuration of the run that trained the policy, or from the defaults. So do,
 /// without `--split`, the blueprints, which are those of the run's last evaluation; the shipped policy and the expert
 /// get the paper's.
-pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
+pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     let source = if args.expert { None } else { Some(Source::of(args.checkpoint.as_deref())?) };
     let config = match &source {
@@ -40,12 +41,12 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
     } else {
         final_selection(&config.evaluator)
     };
-    tell_choices(&args.blueprint, &terminal.on_stderr())?;
     let goals = Goals::open_beside(&args.blueprint, args.checkpoint.as_deref())?;
+    goals.tell_choices(&terminal.on_stderr());
     let blueprints = goals.or_selected(&selection)?;
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
-    episodes.n_threads = limits::n_threads(args.threads);
+    episodes.n_threads = n_threads(args.threads);
     let n_modes = if args.expert { 1 } else { episodes.acting.len() };
     let setup = EvalSetup {
         catalog: &goals.catalog,
@@ -57,21 +58,28 @@ pub(super) fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &CancellationT
         seed: config.seed,
     };
     let n_planned = (n_modes * blueprints.len()) as u64 * u64::from(args.episodes);
-    let episodes = EpisodeCounter::new(terminal.on_stderr(), n_planned);
+    let (progress, counted) = watch::channel(None);
+    let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.on_stderr(), || true));
+    progress.send_replace(Some(EvaluationProgress { n_planned, ..EvaluationProgress::default() }));
     let start = Instant::now();
-    let follower =
-        Follower { keep_going: &|| !shutdown.is_cancelled(), on_episode: &|episode| episodes.count(episode) };
     let endings = args.endings.then(Endings::default);
+    let follower = Follower {
+        keep_going: &|| !shutdown.is_cancelled(),
+        on_episode: &|episode| progress.send_modify(|so_far| so_far.get_or_insert_default().count(episode)),
+        endings: endings.as_ref(),
+    };
     let performer = match &source {
         Some(source) => Performer::Policy(&source.model.policy, &source.model.weights),
         None => Performer::Expert,
     };
-    let report = evaluate_followed(&setup, performer, &blueprints, &follower, endings.as_ref());
-    let n_ended = episodes.finish();
+    let report = evaluate_followed(&setup, performer, &blueprints, &follower);
+    let n_ended = progress.borrow().map_or(0, |so_far| so_far.n_ended);
+    drop(progress);
+    counting.await?;
     let mut report = report.map_err(anyhow::Error::from)?;
     report.summary.elapsed_s = start.elapsed().as_secs_f64();
     if args.json {
-        super::common::json(&report, terminal)?;
+        json(&report, terminal)?;
     } else {
         terminal.print(&render(&report, live::detail(args.verbose)));
         if let Some(endings) = endings {

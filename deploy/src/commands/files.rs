@@ -1,13 +1,18 @@
-//! Writes the output files of commands.
+//! Writes the output files of commands, and reads those that are JSON.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::Path;
 
 use anyhow::Context;
+use blueprints::outside;
+use serde::de::DeserializeOwned;
 
 use crate::exit::Failure;
 use crate::replace::{PLAIN, replace};
+
+/// Maximum size of a JSON file in bytes; the largest, the plan of a sweep, has about 10 000 for each point.
+const MAX_JSON_BYTES: u64 = 256 << 20;
 
 /// Name and content of a file.
 pub(super) type File = (String, Vec<u8>);
@@ -20,6 +25,12 @@ pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) 
         replace(&path, bytes, PLAIN).with_context(|| format!("cannot write {}", path.display()))?;
     }
     Ok(())
+}
+
+/// Reads a JSON file of a run or a sweep.
+pub(super) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+    let read = || Ok(serde_json::from_slice(&outside::read(path, MAX_JSON_BYTES)?)?);
+    read().map_err(|error: anyhow::Error| Failure::Checkpoint(error.context(format!("reading {}", path.display()))))
 }
 
 /// Writes a blueprint file; never replaces an existing one.

@@ -1,18 +1,17 @@
-//! Resolves the blueprints that a command is about: from the catalog, generated, or from the user's files.
+//! Resolves the blueprints that a command is about: from the catalog, or from the user's files.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, anyhow};
-use blueprints::catalog::read_files;
-use blueprints::checks::{Inferred, check_text};
+use anyhow::anyhow;
+use blueprints::checks::Inferred;
 use blueprints::{Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use evaluator::Selection;
 use runlog::RunPaths;
 
-use super::files::write_files;
+use super::files::{read_json, write_files};
 use crate::config::{Override, nearest, suggestion_or};
 use crate::exit::Failure;
 use crate::live::Terminal;
@@ -20,11 +19,12 @@ use crate::live::Terminal;
 /// Named blueprints, and a catalog that contains them in addition to the built-in ones.
 pub(super) struct Goals {
     pub(super) catalog: Arc<Catalog>,
-    /// Blueprints that the built-in catalog lacks: from files, and generated ones. The folder of a run keeps a copy of
-    /// them.
+    /// Blueprints that the built-in catalog lacks. The folder of a run keeps a copy of them.
     own: Vec<BlueprintId>,
     /// The named blueprints, in the order in which they were named; the catalog has all of them.
     pub(super) ids: Vec<BlueprintId>,
+    /// What was inferred to complete the named files, and the file that it is in.
+    pub(super) inferred: Vec<(String, Inferred)>,
 }
 
 /// A named blueprint, and the name that it was found by.
@@ -36,6 +36,10 @@ struct Named {
 }
 
 impl Goals {
+    fn of(catalog: Arc<Catalog>) -> Self {
+        Self { catalog, own: Vec::new(), ids: Vec::new(), inferred: Vec::new() }
+    }
+
     /// Resolves names, each of which is a file, a folder of files, or an id. Ids may also refer to the blueprints kept
     /// with a run; `run` is the run's folder or a path in it.
     ///
@@ -43,7 +47,7 @@ impl Goals {
     /// Names the file that is not a blueprint, or the unknown id and the nearest known one; also when a blueprint of
     /// the run cannot be read, or is not the one that the run began with.
     pub(super) fn open_beside(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
-        let mut goals = Self { catalog: Catalog::builtin().clone(), own: Vec::new(), ids: Vec::new() };
+        let mut goals = Self::of(Catalog::builtin().clone());
         if let Some(folder) = run.and_then(blueprints_of_run) {
             let kept = Catalog::load(&folder)?;
             check_unchanged(&folder, &kept)?;
@@ -52,7 +56,8 @@ impl Goals {
         let mut before: Vec<Named> = Vec::new();
         for name in named {
             let found = if is_path(name) {
-                let own = Catalog::load(Path::new(name))?;
+                let (own, inferred) = Catalog::load_with_inferred(Path::new(name))?;
+                goals.inferred.extend(inferred);
                 if let Some(hidden) = own.iter().find_map(|own| Catalog::builtin().namesake(own)) {
                     let id = hidden.id();
                     return Err(Failure::Usage(format!(
@@ -120,14 +125,21 @@ impl Goals {
             }
             // Compare with the built-in catalog, because a blueprint of the same structure would replace the held-out
             // one.
-            if !Catalog::builtin().is_for_training(goal) {
-                return Err(Failure::Usage(format!(
-                    "--blueprint: {id} has the outline of a test or validation blueprint, which training may not see; \
-                     change its shape"
+            if let Some(other) = Catalog::builtin().held_out_like(goal) {
+                return Err(Failure::Input(format!(
+                    "--blueprint: {id} has the outline of {}, which is held out from training; change its shape",
+                    other.id()
                 )));
             }
         }
         Ok(goals)
+    }
+
+    /// Prints the choices made for blocks, in the named files, that could be oriented in several ways.
+    pub(super) fn tell_choices(&self, terminal: &Terminal) {
+        for (file, found) in self.inferred.iter().filter(|(_, found)| found.is_a_choice()) {
+            terminal.print(&format!("{file}: {found}; `axes` in the file chooses another"));
+        }
     }
 
     /// The settings of a training on the named goals alone; none if the configuration is to choose.
@@ -170,21 +182,14 @@ impl Goals {
 /// When two different blueprints share an id, or one structure has two ids: only one of them could be used.
 fn is_repeated(before: &[Named], id: &BlueprintId, structure: u64, name: &OsStr) -> Result<bool, Failure> {
     let same = before.iter().find(|other| other.id == *id || other.structure == structure);
-    match same {
-        None => Ok(false),
-        Some(other) if other.id == *id && other.structure == structure => Ok(true),
-        Some(other) if other.id == *id => Err(Failure::Usage(format!(
-            "{}: the id {id} is taken by {}; give one of the two another `id`",
-            name.display(),
-            other.name.display()
-        ))),
-        Some(other) => Err(Failure::Usage(format!(
-            "{}: {id} is the same structure as {} of {}; name only one of them",
-            name.display(),
-            other.id,
-            other.name.display()
-        ))),
-    }
+    let Some(Named { id: other, structure: its_structure, name: taken }) = same else { return Ok(false) };
+    let taken = taken.display();
+    let why = match (other == id, *its_structure == structure) {
+        (true, true) => return Ok(true),
+        (true, false) => format!("the id {id} is taken by {taken}; give one of the two another `id`"),
+        (false, _) => format!("{id} is the same structure as {other} of {taken}; name only one of them"),
+    };
+    Err(Failure::Usage(format!("{}: {why}", name.display())))
 }
 
 /// Name of the file, beside a run's blueprints, with the fingerprint of each one's structure. Runs of earlier versions
@@ -201,10 +206,7 @@ fn check_unchanged(folder: &Path, kept: &Catalog) -> Result<(), Failure> {
     if !path.exists() {
         return Ok(());
     }
-    let reading = || format!("reading {}", path.display());
-    let text = std::fs::read(&path).with_context(reading).map_err(Failure::Checkpoint)?;
-    let known: BTreeMap<String, String> =
-        serde_json::from_slice(&text).with_context(reading).map_err(Failure::Checkpoint)?;
+    let known: BTreeMap<String, String> = read_json(&path)?;
     let is_other = |goal: &&Blueprint| known.get(goal.id().as_str()).is_some_and(|known| *known != fingerprint(goal));
     match kept.iter().find(is_other) {
         None => Ok(()),
@@ -226,30 +228,11 @@ pub(super) fn run_of(path: &Path) -> Option<RunPaths> {
     path.ancestors().take(5).map(RunPaths::new).find(|run| run.config().exists())
 }
 
-/// What was inferred to complete the files and folders among `named`, and the file that it is in.
-pub(super) fn inferred(named: &[OsString]) -> Result<Vec<(String, Inferred)>, Failure> {
-    let mut all = Vec::new();
-    for path in named.iter().filter(|name| is_path(name)) {
-        for (file, text) in read_files(Path::new(path))? {
-            all.extend(check_text(&file, &text).inferred.into_iter().map(|found| (file.clone(), found)));
-        }
-    }
-    Ok(all)
-}
-
-/// Prints the choices made for blocks, in the files among `named`, that could be oriented in several ways.
-pub(super) fn tell_choices(named: &[OsString], terminal: &Terminal) -> Result<(), Failure> {
-    for (file, found) in inferred(named)?.iter().filter(|(_, found)| found.is_a_choice()) {
-        terminal.print(&format!("{file}: {found}; `axes` in the file chooses another"));
-    }
-    Ok(())
-}
-
 /// Finds the blueprint with this id, or else the one with this title.
 ///
 /// # Errors
 /// When there is none; the error contains the nearest id or title of the catalog.
-pub(super) fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<&'c Blueprint, Failure> {
+fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<&'c Blueprint, Failure> {
     let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.get(&id));
     let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id));
     found.or_else(titled).ok_or_else(|| {
@@ -270,6 +253,12 @@ pub(super) fn is_path(name: &OsStr) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::{Base, merge};
+
+    /// The text of the built-in blueprint with this id.
+    fn text(id: &str) -> String {
+        Catalog::builtin().get(&id.parse().unwrap()).unwrap().to_toml("a test")
+    }
 
     fn ids(named: &[&str]) -> Vec<String> {
         let named: Vec<OsString> = named.iter().map(OsString::from).collect();
@@ -287,7 +276,6 @@ mod tests {
     #[test]
     fn files_folders_and_ids_can_be_named() {
         let folder = tempfile::tempdir().unwrap();
-        let text = |id: &str| Catalog::builtin().get(&id.parse().unwrap()).unwrap().to_toml("a test");
         std::fs::write(folder.path().join("a.toml"), text("2_003").replace("2_003", "2_900")).unwrap();
         std::fs::write(folder.path().join("b.toml"), text("3_001").replace("3_001", "3_900")).unwrap();
         let own = folder.path().display().to_string();
@@ -301,14 +289,13 @@ mod tests {
     fn a_run_keeps_the_goals_that_it_was_given() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("my tower.toml");
-        let blocks = "{ type = \"2x1x1\", at = [0, 0, 0] }, { type = \"2x1x1\", at = [0, 0, 1] }, { type = \"1x1x1\", at = [0, 0, 2] }";
-        std::fs::write(&file, format!("blocks = [{blocks}]")).unwrap();
+        let blocks = ["2x1x1", "2x1x1", "1x1x1"].iter().enumerate();
+        let blocks = blocks.map(|(z, kind)| format!("{{ type = \"{kind}\", at = [0, 0, {z}] }}")).collect::<Vec<_>>();
+        std::fs::write(&file, format!("blocks = [{}]", blocks.join(", "))).unwrap();
         let named = [file.clone().into(), "6_005".into()];
-        assert_eq!(inferred(&named).unwrap().len(), 5);
         let goals = Goals::for_training(&named, None).unwrap();
-        let config =
-            crate::config::merge("base = \"laptop\"", "file", crate::config::Base::Defaults, &goals.settings())
-                .unwrap();
+        assert_eq!(goals.inferred.len(), 5);
+        let config = merge("base = \"laptop\"", "file", Base::Defaults, &goals.settings()).unwrap();
         config.clone().checked().unwrap();
         let selected = |catalog: &Catalog| {
             let selected = config.evaluator.selection.select(catalog).unwrap();
@@ -330,8 +317,7 @@ mod tests {
         assert_eq!(evaluated.blueprints().len(), 1);
 
         let kept = run.blueprints().join("my-tower.toml");
-        let other = Catalog::builtin().get(&"3_001".parse().unwrap()).unwrap().to_toml("another structure");
-        std::fs::write(&kept, other.replace("\"3_001\"", "\"my-tower\"")).unwrap();
+        std::fs::write(&kept, text("3_001").replace("\"3_001\"", "\"my-tower\"")).unwrap();
         let error = Goals::for_training(&[], Some(run.folder())).err().unwrap();
         assert!(matches!(error, Failure::Checkpoint(_)), "{error}");
         assert!(error.to_string().contains("my-tower is not the structure that the run began with"), "{error}");
@@ -340,7 +326,6 @@ mod tests {
     #[test]
     fn two_that_share_an_id_or_a_structure_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let text = |id: &str| Catalog::builtin().get(&id.parse().unwrap()).unwrap().to_toml("a test");
         let write = |name: &str, text: String| {
             let path = folder.path().join(name);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -370,11 +355,11 @@ mod tests {
     fn training_refuses_what_is_held_out() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("chair.toml");
-        let chair = Catalog::builtin().get(&"literal_10_000".parse().unwrap()).unwrap().to_toml("a test");
-        let copy = chair.replace("\"literal_10_000\"", "\"chair\"").replace("\"test-literal\"", "\"train\"");
+        let chair = text("literal_10_000").replace("\"literal_10_000\"", "\"chair\"");
+        let copy = chair.replace("\"test-literal\"", "\"train\"");
         std::fs::write(&file, copy).unwrap();
         for (name, words) in [
-            (file.display().to_string(), "chair has the outline of a test or validation blueprint"),
+            (file.display().to_string(), "chair has the outline of "),
             ("validation_7_000".to_owned(), "of the split validation, which is held out"),
             ("6-005".to_owned(), "did you mean `6_005`"),
         ] {

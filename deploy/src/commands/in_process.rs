@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use actor::{ActorSetup, Lockstep};
+use actor::Lockstep;
 use blueprints::Catalog;
 use learner::{Mailbox, Source};
 use proto::{ActorId, Trajectory, Valid, Weights};
@@ -18,10 +18,9 @@ pub(super) struct InProcess {
 
 impl InProcess {
     /// Creates the worlds; `catalog` has the goals.
-    pub(super) fn new(config: &Valid<Config>, catalog: Arc<Catalog>) -> Self {
+    pub(super) fn new(config: &Valid<Config>, catalog: &Arc<Catalog>) -> Self {
         let id = ActorId::try_from("lockstep".to_owned()).expect("the name is lower case");
-        let worlds = Lockstep::new(ActorSetup { catalog, ..actor_setup(config, id) });
-        Self { worlds, restarts: false }
+        Self { worlds: Lockstep::new(actor_setup(config, id, catalog)), restarts: false }
     }
 }
 

@@ -15,7 +15,6 @@ mod play;
 mod record;
 mod render;
 mod report;
-mod router;
 mod runtime;
 mod serve;
 mod services;
@@ -43,34 +42,33 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     check_variables(names.iter().map(String::as_str), &cli::program())?;
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
-        Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown)),
+        Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown).await),
         Command::Render(args) if args.connect.is_empty() => render::run(&args, terminal),
         Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
         Command::Completions { shell } => {
             completions::completions(shell, terminal);
             Ok(())
         }
-        Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown)),
+        Command::Eval(args) => on_runtime(async |shutdown| eval::run(&args, terminal, &shutdown).await),
         Command::Export(args) => models::export(&args, terminal),
         Command::Play(args) => {
             let source = models::Source::of(args.checkpoint.as_deref())?;
             let named = [&args.ids[..], &args.blueprint[..]].concat();
-            goals::tell_choices(&named, terminal)?;
             let goals = goals::Goals::open_beside(&named, args.checkpoint.as_deref())?;
+            goals.tell_choices(terminal);
             let config = play::configure(&source, &goals.ids, &args)?;
             on_runtime(async |shutdown| play::run(source, &goals, &config, &args, terminal, shutdown).await)
         }
         Command::Serve(args) => on_runtime(async |shutdown| serve::run(&args, terminal, shutdown).await),
         Command::Report(args) => report::run(&args, terminal),
         Command::Keys(command) => keys::run(&command, terminal),
-        Command::Healthcheck(args) => {
-            let state = health::check(&args.file, args.alive)?;
-            if let Some(joins) = state.joins {
+        Command::Healthcheck { file, alive } => {
+            if let Some(joins) = health::check(&file, alive)?.joins {
                 terminal.print(&joins.to_string());
             }
             Ok(())
         }
-        Command::Router(args) => on_runtime(async |shutdown| router::run(&args, shutdown).await),
+        Command::Router(args) => on_runtime(async |shutdown| services::run_router(&args, shutdown).await),
         Command::Watch(args) => on_runtime(async |shutdown| watch::run(&args, terminal, shutdown).await),
         Command::Train(args) => train::command(&args, terminal),
         Command::Sweep(args) => on_runtime(async |shutdown| sweep::run(&args, terminal, shutdown).await),

@@ -1,10 +1,11 @@
 //! Loads policies: from checkpoints, from exported files, and the shipped one.
 
-use proto::Valid;
 use std::path::Path;
 
+use anyhow::Context as _;
 use evaluator::Policy;
-use learner::{Checkpoint, CheckpointError, Model};
+use learner::{Checkpoint, CheckpointError, Model, read_model, to_onnx};
+use proto::Valid;
 
 use super::best;
 use super::files::write_files;
@@ -23,7 +24,6 @@ const PRETRAINED: &[u8] = include_bytes!("../../pretrained/model.safetensors");
 /// Its successes and episodes by action mode and number of blocks.
 const PRETRAINED_SUCCESS: &str = include_str!("../../pretrained/success.json");
 
-/// Preset that the shipped policy was trained with.
 const PRETRAINED_PRESET: &str = "laptop";
 
 /// A policy, and the text and origin of the configuration that it was trained with.
@@ -44,10 +44,10 @@ impl Source {
     }
 
     fn pretrained() -> Result<Self, Failure> {
-        let model = Model::from_bytes(PRETRAINED, Path::new("the program's own policy"));
+        let model = Model::from_bytes(PRETRAINED).context("the program's own policy").map_err(Failure::Checkpoint)?;
         let preset = Preset::find(PRETRAINED_PRESET)?;
         let config = (preset.text.to_owned(), format!("preset {}", preset.name));
-        Ok(Self { model: model.map_err(|error| Failure::Checkpoint(error.into()))?, config })
+        Ok(Self { model, config })
     }
 
     /// Reads an exported file, a checkpoint, the best policy of a run or else its newest checkpoint, or the newest of a
@@ -65,7 +65,7 @@ impl Source {
         let unusable = |error: CheckpointError| Failure::Checkpoint(error.into());
         // Anything but a folder, so that a device is refused for what it holds.
         if path.exists() && !path.is_dir() {
-            let model = Model::read(path).map_err(unusable)?;
+            let model = read_model(path).map_err(unusable)?;
             let is_snapshot = path.parent().is_some_and(|folder| folder.ends_with("snapshots"));
             let config = is_snapshot.then(|| run_config(path)).transpose()?;
             return Ok(Self { model, config: config.unwrap_or((String::new(), "the defaults".to_owned())) });
@@ -92,7 +92,7 @@ impl Source {
         if !path.is_file() {
             return None;
         }
-        let model = Model::read(&path)
+        let model = read_model(&path)
             .inspect_err(|error| tracing::warn!(%error, "the best policy is unusable, trying the newest checkpoint"));
         let model = model.ok()?;
         let n_steps = model.weights.n_env_steps;
@@ -120,16 +120,15 @@ pub(super) fn pretrained_success() -> serde_json::Value {
     serde_json::from_str(PRETRAINED_SUCCESS).expect("a test reads it")
 }
 
-/// Runs `export`.
 pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let mut model = Source::read(&args.checkpoint)?.model;
     // Of this run, and nothing that acting needs.
     model.verdict = None;
     if args.out.exists() {
-        return Err(Failure::Usage(format!("{} is there already; choose another --out", args.out.display())));
+        return Err(Failure::Input(format!("{} is there already; choose another --out", args.out.display())));
     }
     let bytes = if args.onnx {
-        model.to_onnx().map_err(|error| Failure::Usage(error.to_string()))?
+        to_onnx(&model).map_err(|error| Failure::Usage(error.to_string()))?
     } else {
         model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?
     };

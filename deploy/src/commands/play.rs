@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
 use dashboard::{About, Farewell, Kind};
-use evaluator::{EvaluatorSetup, Listeners, Stop};
+use evaluator::{Listeners, Stop};
 use proto::{Valid, Weights};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -60,10 +60,9 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let catalog = goals.catalog.clone();
-    let weights = published(source, config, &catalog)?;
-    let weights = Arc::new(weights);
-    let page = services::page(services::web(config), terminal).await?;
+    let weights = Arc::new(published(source, config, &goals.catalog)?);
+    let page = services::page(services::web(config)).await?;
+    services::tell_page(page.as_ref(), terminal);
     if let Some(page) = page.as_ref().filter(|_| !args.no_open) {
         open(&format!("http://{}", page.address()));
     }
@@ -81,7 +80,7 @@ pub(super) async fn run(
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
     let folder = run_dir.as_ref().map(RunDir::path);
-    let setup = EvaluatorSetup { catalog, ..services::evaluator_setup(config, NAME.to_owned(), folder) };
+    let setup = services::evaluator_setup(config, NAME.to_owned(), folder, &goals.catalog);
     let page = match page {
         Some(page) if args.episodes.is_none() && run_dir.is_none() => {
             let ended = services::show(setup, page, &bus, shutdown).await;
@@ -94,9 +93,9 @@ pub(super) async fn run(
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
     let (progress, counted) = watch::channel(None);
     // Show a bar only: without a terminal, the page shows the progress.
-    let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || false));
+    let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.clone(), || false));
     let stop = Stop { now: shutdown, ..Stop::default() };
-    let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
+    let listeners = Listeners { reports, progress, ..Listeners::default() };
     let ended = services::evaluate(setup, listeners, page, bus.clone(), stop).await;
     bus.close().await;
     counting.await?;
@@ -129,6 +128,7 @@ fn about(args: &PlayArgs, goals: &Goals) -> About {
         preset: None,
         n_env_steps: None,
         blueprints: goals.ids.clone(),
+        trained: Vec::new(),
         catalog: goals.catalog.clone(),
         farewell: Farewell { ended: "the program", command: Some(command(args)) },
         origin: serde_json::Value::Null,

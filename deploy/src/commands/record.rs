@@ -5,23 +5,24 @@ use std::path::Path;
 
 use anyhow::Context;
 use blueprints::Blueprint;
-use evaluator::{Callbacks, EpisodeConfig, EvalSetup, Performer, Recorded, record};
+use evaluator::report::{End, EpisodeResult};
+use evaluator::{EpisodeConfig, EvalSetup, EvaluationProgress, Performer, record};
 use parking_lot::Mutex;
 use proto::codec::encode_recording;
 use proto::{ActionMode, Trajectory};
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::common::n_threads;
 use super::files::write_files;
-use super::goals::{Goals, is_path, tell_choices};
+use super::goals::{Goals, is_path};
 use super::models::Source;
 use crate::cli::RecordArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
-use crate::limits;
-use crate::live::{EpisodeCounter, Terminal};
+use crate::live::{self, Terminal};
 use crate::shell;
 
-/// State of the recording.
 struct Recording<'a> {
     folder: &'a Path,
     n_files: u64,
@@ -34,14 +35,14 @@ struct Recording<'a> {
 /// # Errors
 /// When the policy or the run's configuration cannot be read, the folder already exists, a file cannot be written, or
 /// `shutdown` came first.
-pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
+pub(super) async fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     Override::only_in(&["environment", "policy"], &overrides)?;
     // The expert acts in the world of the shipped policy.
     let source = Source::of(args.checkpoint.as_deref())?;
     let config = source.config(&overrides)?;
-    tell_choices(&args.goals.blueprint, terminal)?;
     let goals = Goals::open_beside(&args.goals.blueprint, args.checkpoint.as_deref())?;
+    goals.tell_choices(terminal);
     let blueprints = select(&goals, args);
     let performer =
         if args.expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
@@ -53,7 +54,7 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
         episodes: EpisodeConfig {
             n_episodes: args.episodes,
             starts: args.start,
-            n_threads: limits::n_threads(args.threads),
+            n_threads: n_threads(args.threads),
             ..EpisodeConfig::default()
         },
         reset_free: None,
@@ -63,20 +64,22 @@ pub(super) fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cancellatio
         seed: args.seed,
     };
     let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
-    let counter = EpisodeCounter::new(terminal.on_stderr(), n_planned);
+    let (progress, counted) = watch::channel(None);
+    let counting = tokio::spawn(live::show_episodes(counted, "recorded", terminal.on_stderr(), || true));
+    progress.send_replace(Some(EvaluationProgress { n_planned, ..EvaluationProgress::default() }));
     let stop = shutdown.child_token();
     let recording = Mutex::new(Recording { folder: &args.out, n_files: 0, n_diverged: 0, failure: None });
-    let callbacks = Callbacks {
-        keep_going: &|| !stop.is_cancelled(),
-        on_episode: &|episode| {
-            counter.count(&episode.result);
-            if !recording.lock().keep(&episode) {
-                stop.cancel();
-            }
-        },
+    let keep_going = || !stop.is_cancelled();
+    let on_episode = |idx: usize, trajectory: Trajectory, result: &EpisodeResult| {
+        progress.send_modify(|so_far| so_far.get_or_insert_default().count(result));
+        if !recording.lock().keep(idx, &trajectory, result) {
+            stop.cancel();
+        }
     };
-    let played = record(&setup, performer, acting, &blueprints, &callbacks);
-    let n_ended = counter.finish();
+    let played = record(&setup, performer, acting, &blueprints, &keep_going, &on_episode);
+    let n_ended = progress.borrow().map_or(0, |so_far| so_far.n_ended);
+    drop(progress);
+    counting.await?;
     let recording = recording.into_inner();
     let said = recording.said(args);
     if let Some(failure) = recording.failure {
@@ -96,7 +99,6 @@ fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Vec<&'g Blueprint> {
     goals.catalog.iter().filter(wanted).collect()
 }
 
-/// Creates the folder.
 fn create(folder: &Path) -> Result<(), Failure> {
     if folder.exists() {
         return Err(Failure::Input(format!("{} exists already; nothing was written", folder.display())));
@@ -107,18 +109,19 @@ fn create(folder: &Path) -> Result<(), Failure> {
 
 impl Recording<'_> {
     /// Writes an episode, unless it diverged or an earlier write failed. Returns whether all writes have succeeded.
-    fn keep(&mut self, episode: &Recorded) -> bool {
-        if episode.is_diverged() {
+    fn keep(&mut self, idx: usize, trajectory: &Trajectory, result: &EpisodeResult) -> bool {
+        if result.end == End::Diverged {
             self.n_diverged += 1;
         } else if self.failure.is_none() {
-            self.failure = self.write(&episode.trajectory).err().map(Failure::from);
-            tracing::debug!(blueprint = %episode.result.blueprint, "an episode was kept");
+            self.failure = self.write(idx, trajectory).err().map(Failure::from);
+            tracing::debug!(blueprint = %result.blueprint, "an episode was kept");
         }
         self.failure.is_none()
     }
 
-    fn write(&mut self, trajectory: &Trajectory) -> anyhow::Result<()> {
-        let name = format!("{:05}-{}.trajectory", self.n_files, trajectory.task.blueprint);
+    /// Names the file by the episode's place in the plan: episodes do not end in that order.
+    fn write(&mut self, idx: usize, trajectory: &Trajectory) -> anyhow::Result<()> {
+        let name = format!("{idx:05}-{}.trajectory", trajectory.task.blueprint);
         write_files(self.folder, &[(name, encode_recording(trajectory))])?;
         self.n_files += 1;
         Ok(())

@@ -5,7 +5,7 @@ mod recordings;
 mod shares;
 
 use anyhow::Context;
-use evaluator::{Policy, PolicyError};
+use evaluator::Policy;
 use render::picture::encode;
 use render::video::{AttentionVideo, Episode, EpisodeAttention, Video, attention_strip, gif, mp4, strip};
 
@@ -16,7 +16,7 @@ use crate::exit::Failure;
 use crate::live::Terminal;
 
 pub(super) use live::run as run_live;
-use recordings::{Goals, Named};
+use recordings::Named;
 use shares::attention;
 
 /// Scenes in a strip, which fill two rows together with the goal, and scenes in an attention strip.
@@ -28,7 +28,7 @@ const STRIP_COLORS: usize = 96;
 
 /// Runs the subcommand. Reads every file before it makes the first video.
 pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let goals = Goals::new(args)?;
+    let goals = recordings::goals_of(args)?;
     let policy = policy(args)?;
     let episodes = recordings::read_all(&args.files, &goals)?;
     if let Some(policy) = policy.as_ref().filter(|_| args.table) {
@@ -41,11 +41,8 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
 fn policy(args: &RenderArgs) -> Result<Option<Policy>, Failure> {
     let Some(path) = &args.attention else { return Ok(None) };
     let model = Source::read(path)?.model;
-    let refused =
-        |error: PolicyError| Failure::Checkpoint(anyhow::Error::new(error).context(path.display().to_string()));
-    let mut policy = Policy::new(&model.policy);
-    policy.load(&model.weights).map_err(refused)?;
-    Ok(Some(policy))
+    let policy = Policy::with_weights(&model.policy, &model.weights);
+    Ok(Some(policy.map_err(|error| Failure::Checkpoint(error.into()))?))
 }
 
 fn make_all(

@@ -1,12 +1,11 @@
 //! `report`: tables of a run's evaluations, or of a sweep.
 
-mod groups;
 pub(super) mod tables;
 
 use std::path::{Path, PathBuf};
 
 use proto::ActionMode;
-use runlog::series::{Difference, Grid, common_rates, lineage};
+use runlog::series::{Grid, common_rates, lineage};
 use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
@@ -18,6 +17,7 @@ use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::check_exists;
+use tables::GroupRow;
 
 /// Default output folder, inside the run's folder.
 const REPORT: &str = "report";
@@ -33,27 +33,25 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if let Some(results) = sweep::results(&args.run)? {
         return of_sweep(args, &results, stdout);
     }
-    let acting = args.acting;
     let all = history(&args.run)?;
     let evaluations = shown(&all, &args.run, terminal);
+    let has_greedy = Grid::success(&evaluations, ActionMode::Greedy).is_some();
+    let acting = args.acting.unwrap_or(default_acting(has_greedy));
     let grid = success(&args.run, &evaluations, acting)?;
     let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&evaluations, acting))];
-    let rows = evaluations.last().map(|last| groups::rows(last)).unwrap_or_default();
-    files.push(("groups.md".to_owned(), groups::markdown(&rows).into_bytes()));
-    files.push(file("groups", groups::csv(&rows)));
-    if let Some(minus) = &args.minus {
-        files.push(difference(&evaluations, args, minus, terminal)?);
-    }
+    let rows = evaluations.last().map(|last| tables::groups(last)).unwrap_or_default();
+    files.push(("groups.md".to_owned(), tables::groups_markdown(&rows).into_bytes()));
+    files.push(file("groups", tables::groups_csv(&rows)));
     if !args.beside.is_empty() {
-        files.push(comparison(&evaluations, args, terminal)?);
+        files.push(comparison(&evaluations, acting, args, terminal)?);
     }
     let written = write(args, &files)?;
     if args.json {
-        return super::common::json(&summary(args, &evaluations, &grid, &written), stdout);
+        return super::common::json(&summary(args, acting, &evaluations, &grid, &rows, &written), stdout);
     }
     let what = format!("{} of {}", count(evaluations.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
     terminal.print(&format!("{} ({what}):", name(&args.run)));
-    tell(args, &groups::markdown(&rows), &written, terminal);
+    tell(args, &tables::groups_markdown(&rows), &written, terminal);
     Ok(())
 }
 
@@ -70,20 +68,21 @@ fn tell(args: &ReportArgs, table: &str, written: &[String], terminal: &Terminal)
     for path in written {
         terminal.print(&format!("  {path}"));
     }
-    let runs: Vec<PathBuf> = [&args.run].into_iter().chain(&args.minus).chain(&args.beside).cloned().collect();
+    let runs: Vec<PathBuf> = [&args.run].into_iter().chain(&args.beside).cloned().collect();
     terminal.print(&format!("heat map and curves: {}", serve_command(&runs)));
 }
 
 /// The report of a sweep, all of whose runs that are done are in its curves.
 fn of_sweep(args: &ReportArgs, results: &Results, terminal: &Terminal) -> Result<(), Failure> {
-    if args.minus.is_some() || !args.beside.is_empty() {
-        return Err(Failure::Usage("--minus and --beside compare runs, and RUN is a sweep".to_owned()));
+    if !args.beside.is_empty() {
+        return Err(Failure::Usage("--beside compares runs, and RUN is a sweep".to_owned()));
     }
     results.done(1)?;
-    if !results.has(args.acting) {
-        return Err(Failure::NothingToShow(not_this_way(&args.run, args.acting)));
+    let acting = args.acting.unwrap_or(default_acting(results.has(ActionMode::Greedy)));
+    if !results.has(acting) {
+        return Err(Failure::NothingToShow(not_this_way(&args.run, acting)));
     }
-    let written = write(args, &results.files(args.acting))?;
+    let written = write(args, &results.files(acting))?;
     if args.json {
         return super::common::json(&json!({ "sweep": results, "files": written }), terminal);
     }
@@ -92,63 +91,44 @@ fn of_sweep(args: &ReportArgs, results: &Results, terminal: &Terminal) -> Result
 }
 
 /// Output of `--json`: the groups of the last evaluation, and the files written.
-fn summary(args: &ReportArgs, evaluations: &[&Evaluation], grid: &Grid, files: &[String]) -> serde_json::Value {
-    let groups = evaluations.last().map(|last| groups::rows(last)).unwrap_or_default();
-    let group = |row: &groups::GroupRow| {
-        json!({
-            "name": row.name, "n_blueprints": row.n_blueprints, "acting": row.acting.name(), "success": row.success,
-            "stable_success": row.stable, "mean_steps_to_success": row.mean_steps_to_success,
-            "mean_return": row.mean_return, "n_diverged": row.n_diverged,
-        })
-    };
+fn summary(
+    args: &ReportArgs,
+    acting: ActionMode,
+    evaluations: &[&Evaluation],
+    grid: &Grid,
+    groups: &[GroupRow],
+    files: &[String],
+) -> serde_json::Value {
     json!({
         "run": args.run.display().to_string(),
-        "acting": args.acting.name(),
+        "acting": acting.name(),
         "n_evaluations": evaluations.len(),
         "n_blueprints": grid.rows.len(),
         "weights_version": evaluations.last().map(|last| last.weights_version),
         "n_env_steps": evaluations.last().map(|last| last.n_env_steps),
-        "groups": groups.iter().map(group).collect::<Vec<_>>(),
+        "groups": groups,
         "files": files,
     })
 }
 
-fn difference(
+fn comparison(
     evaluations: &[&Evaluation],
+    acting: ActionMode,
     args: &ReportArgs,
-    minus: &Path,
     terminal: &Terminal,
 ) -> Result<File, Failure> {
-    let all = history(minus)?;
-    let others = shown(&all, minus, terminal);
-    success(minus, &others, args.acting)?;
-    let difference = Difference::new(evaluations, &others, args.acting).ok_or_else(|| {
-        Failure::NothingToShow(format!(
-            "{} and {} evaluated no blueprint in common with {} actions: give --minus a run with the same `evaluator.selection`",
-            args.run.display(),
-            minus.display(),
-            args.acting,
-        ))
-    })?;
-    if difference.max_apart > 0 {
-        terminal.print(&format!("compared evaluations are at most {} environment steps apart", difference.max_apart));
-    }
-    Ok(file("difference", tables::grid(&difference.grid)))
-}
-
-fn comparison(evaluations: &[&Evaluation], args: &ReportArgs, terminal: &Terminal) -> Result<File, Failure> {
     let histories = args.beside.iter().map(|run| history(run)).collect::<Result<Vec<_>, _>>()?;
     let mut lineages = vec![evaluations.to_vec()];
     for (run, all) in args.beside.iter().zip(&histories) {
         let shown = shown(all, run, terminal);
-        success(run, &shown, args.acting)?;
+        success(run, &shown, acting)?;
         lineages.push(shown);
     }
-    let common = common_rates(lineages.iter().map(Vec::as_slice), args.acting).ok_or_else(|| {
+    let common = common_rates(lineages.iter().map(Vec::as_slice), acting).ok_or_else(|| {
         Failure::NothingToShow(format!(
             "no blueprint was evaluated with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
              the same `evaluator.selection`",
-            args.acting,
+            acting,
             args.run.display(),
         ))
     })?;
@@ -156,7 +136,6 @@ fn comparison(evaluations: &[&Evaluation], args: &ReportArgs, terminal: &Termina
     Ok(file("comparison", tables::comparison(&names(folders), &common)))
 }
 
-/// All evaluations of a run.
 fn history(run: &Path) -> Result<Vec<Evaluation>, Failure> {
     check_exists(run)?;
     Ok(History::read(&RunPaths::new(run).history())?)
@@ -180,9 +159,16 @@ fn success(run: &Path, evaluations: &[&Evaluation], acting: ActionMode) -> Resul
         let history = RunPaths::new(run).history();
         Failure::NothingToShow(match Grid::success(evaluations, acting.other()) {
             Some(_) => not_this_way(&history, acting),
-            None => format!("{} has no evaluation yet: wait for the first one", history.display()),
+            None => format!(
+                "{} has no evaluation yet: wait for the first one, or go on with `train --resume`",
+                history.display()
+            ),
         })
     })
+}
+
+fn default_acting(has_greedy: bool) -> ActionMode {
+    if has_greedy { ActionMode::Greedy } else { ActionMode::Sampled }
 }
 
 fn not_this_way(file: &Path, acting: ActionMode) -> String {

@@ -1,12 +1,13 @@
 //! `serve`: the web page for finished runs or a sweep, or a static copy of it.
 
 use proto::Valid;
+use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
-use blueprints::{Blueprint, BlueprintId, Group};
+use blueprints::{BlueprintId, Catalog, Group};
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Finished, FinishedRun, Kind, Page};
 use proto::keys::METRICS_LEARNER;
@@ -48,7 +49,7 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     let others = runs.collect::<Result<Vec<_>, _>>()?;
     if let Some(folder) = &args.export {
         let named = Goals::open_beside(&args.blueprint, folders.first().map(PathBuf::as_path))?;
-        let goals = recorded(&named.ids, &first.about);
+        let goals = recorded(&named.ids, &first.about.blueprints, &first.about.trained, &first.about.catalog);
         first.about.catalog = named.catalog.clone();
         let n_files = tokio::select! {
             () = shutdown.cancelled() => return Err(Failure::NothingWritten(folder.clone())),
@@ -66,29 +67,33 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
     Ok(())
 }
 
-/// The blueprints to record episodes of for a static copy: the named ones, those that the run was given, or the first
-/// of each group.
-fn recorded(named: &[BlueprintId], about: &About) -> Vec<BlueprintId> {
-    if !named.is_empty() {
-        return named.to_vec();
+/// The blueprints to record episodes of for a static copy: the named ones, those that the run was given, or one of each
+/// group: the last that the run trained on, or else the first.
+fn recorded(
+    named: &[BlueprintId],
+    given: &[BlueprintId],
+    trained: &[BlueprintId],
+    catalog: &Catalog,
+) -> Vec<BlueprintId> {
+    if let Some(chosen) = [named, given].into_iter().find(|ids| !ids.is_empty()) {
+        return chosen.to_vec();
     }
-    if !about.blueprints.is_empty() {
-        return about.blueprints.clone();
+    let mut chosen = BTreeMap::new();
+    for blueprint in catalog.iter() {
+        let Some(group) = Group::of(blueprint.split(), blueprint.n_blocks()) else { continue };
+        if trained.contains(blueprint.id()) || !chosen.contains_key(&group) {
+            chosen.insert(group, blueprint.id().clone());
+        }
     }
-    let mut groups = Vec::new();
-    let is_first = |blueprint: &&Blueprint| {
-        let group = Group::of(blueprint.split(), blueprint.n_blocks());
-        let is_new = group.is_some() && !groups.contains(&group);
-        groups.extend(is_new.then_some(group));
-        is_new
-    };
-    about.catalog.iter().filter(is_first).map(|blueprint| blueprint.id().clone()).collect()
+    chosen.into_values().collect()
 }
 
 /// Loads a finished run, shown as `run`, from its files.
 fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRun, Failure> {
     let paths = RunPaths::new(folder);
-    let config = configuration(&paths)?;
+    check_run(folder)?;
+    let path = paths.config();
+    let config = Config::parse(&read(&path)?, &path.display().to_string())?.checked()?;
     let history = paths.history();
     let evaluations = if history.exists() { History::read(&history)? } else { Vec::new() };
     let learner = updates(&paths)?;
@@ -106,19 +111,11 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     let n_env_steps = Some(config.n_env_steps);
     let catalog = Goals::open_beside(&[], Some(folder))?.catalog;
     let blueprints = config.evaluator.selection.blueprints.clone();
-    let preset = preset_of(&paths);
-    let origin = origin_of(&paths, &config);
+    let trained = config.actor.tasks.filter.select(&catalog).unwrap_or_default();
+    let (kind, preset, origin) = (Kind::Finished, preset_of(&paths), origin_of(&paths, &config));
     let success = serde_json::Value::Null;
-    let about =
-        About { kind: Kind::Finished, run, preset, n_env_steps, blueprints, catalog, farewell, origin, success };
+    let about = About { kind, run, preset, n_env_steps, blueprints, trained, catalog, farewell, origin, success };
     Ok(FinishedRun { about, evaluations, learner, run: paths, policy, weights, stage })
-}
-
-/// The configuration that the run saved.
-fn configuration(paths: &RunPaths) -> Result<Valid<Config>, Failure> {
-    check_run(paths.folder())?;
-    let path = paths.config();
-    Ok(Config::parse(&read(&path)?, &path.display().to_string())?.checked()?)
 }
 
 /// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.
@@ -134,31 +131,18 @@ fn updates(paths: &RunPaths) -> Result<Vec<LearnerMetrics>, Failure> {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::Catalog;
-
     use super::*;
 
     #[test]
-    fn a_copy_has_one_blueprint_of_every_group_unless_some_are_named_or_were_given() {
-        let groups = |ids: Vec<BlueprintId>| -> Vec<_> {
-            let blueprints = ids.iter().map(|id| Catalog::builtin().get(id).unwrap());
-            blueprints.map(|blueprint| Group::of(blueprint.split(), blueprint.n_blocks())).collect()
+    fn a_copy_has_a_trained_blueprint_of_every_group_unless_some_are_named_or_were_given() {
+        let ids = |ids: &[&str]| ids.iter().map(|id| id.parse().unwrap()).collect::<Vec<BlueprintId>>();
+        let recorded = |named: &[&str], given: &[&str], trained: &[&str]| {
+            recorded(&ids(named), &ids(given), &ids(trained), Catalog::builtin())
         };
-        let about = |blueprints: Vec<BlueprintId>| About {
-            kind: Kind::Finished,
-            run: "a".to_owned(),
-            preset: None,
-            n_env_steps: None,
-            blueprints,
-            catalog: Catalog::builtin().clone(),
-            farewell: Farewell { ended: "the program", command: None },
-            origin: serde_json::Value::Null,
-            success: serde_json::Value::Null,
-        };
-        let found = groups(recorded(&[], &about(Vec::new())));
-        assert!(found.len() >= 6 && found.iter().all(Option::is_some), "{found:?}");
-        let named = ["16_002".parse().unwrap()];
-        assert_eq!(recorded(&named, &about(Vec::new())), named);
-        assert_eq!(recorded(&[], &about(named.to_vec())), named, "those that the run was given");
+        let [first, chosen] = [&[][..], &["2_000", "3_001"]].map(|trained| recorded(&[], &[], trained));
+        assert!(first.len() >= 6 && first[0].as_str() == "2_000", "{first:?}");
+        assert_eq!((chosen[0].as_str(), &chosen[1..]), ("3_001", &first[1..]));
+        assert_eq!(recorded(&["16_002"], &["2_000"], &[]), ids(&["16_002"]));
+        assert_eq!(recorded(&[], &["16_002"], &[]), ids(&["16_002"]), "those that the run was given");
     }
 }

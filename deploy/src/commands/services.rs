@@ -6,22 +6,22 @@ use std::time::Duration;
 
 use actor::{ActorSetup, TaskFilter};
 use blueprints::Catalog;
-use bus::{Bus, BusError};
+use bus::{Bus, BusConfig, BusError, BusMode, SecurityConfig};
 use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Kind, Page, Source};
-use evaluator::{EvaluationProgress, EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
+use evaluator::{EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
-use proto::metrics::{EvalReport, LearnerMetrics};
+use proto::metrics::LearnerMetrics;
 use proto::{ActorId, Role, Valid, Weights};
 use runlog::RunPaths;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
-use super::common::{join_bus, serve_command};
+use super::common::{farewell, join_bus, serve_command};
 use super::stage::stage;
 use super::{best, models};
-use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, Settings};
+use crate::cli::{EvaluatorArgs, LearnerArgs, MemberArgs, RouterArgs, Settings};
 use crate::config::{Config, ConfigError};
 use crate::exit::Failure;
 use crate::health::Reporter;
@@ -33,7 +33,6 @@ use crate::run_dir::{Origin, RunDir};
 const FIRST_WAIT_NOTICE: Duration = Duration::from_secs(3);
 const WAIT_NOTICE: Duration = Duration::from_secs(10);
 
-/// Runs `actor`.
 pub(super) async fn run_actor(
     settings: &Settings,
     args: &MemberArgs,
@@ -46,7 +45,7 @@ pub(super) async fn run_actor(
     let health = Reporter::start(Role::Actor.as_str(), args.health.health_file.as_deref())?;
     let (n_threads, n_worlds) = (config.actor.n_threads, config.actor.n_worlds);
     terminal.print(&begins(&format!("actor `{id}` steps {n_threads} × {n_worlds} worlds"), settings));
-    let setup = actor_setup(config, id);
+    let setup = actor_setup(config, id, Catalog::builtin());
     let (metrics_sender, metrics) = watch::channel(None);
     let shown = tokio::spawn(live::show_acting(metrics, terminal.clone()));
     let act = async |bus: Bus| {
@@ -69,7 +68,6 @@ fn begins(what: &str, settings: &Settings) -> String {
     format!("{what} for the run `{}`\nsettings: {}\n{how}", config.bus.run, settings.source)
 }
 
-/// Runs `learner`.
 pub(super) async fn run_learner(
     settings: &Settings,
     args: &LearnerArgs,
@@ -88,18 +86,14 @@ pub(super) async fn run_learner(
     let (metrics_sender, metrics) = watch::channel(None);
     let source = Box::new(Arrivals);
     let options = run_options(setup, config, &run_dir, origin.checkpoint, source, metrics_sender);
-    let mut shown = None;
-    let mut is_complete = false;
+    let (mut shown, mut summary) = (None, None);
     let ended = on_bus(config, &health, &shutdown, async |bus| {
         let actors = bus.alive(Role::Actor).await?;
-        let whole = config.clone();
-        let terminal = terminal.clone();
         // The evaluator shows evaluations.
         let reports = watch::channel(None).1;
-        shown =
-            Some(tokio::spawn(async move { live::show_learning(metrics, actors, reports, terminal, &whole).await }));
-        let summary = learner::run(options, &bus, shutdown.clone()).await?;
-        is_complete = summary.is_some_and(|summary| summary.n_env_steps >= config.n_env_steps);
+        let learning = live::show_learning(metrics, actors, reports, terminal.clone(), config.n_env_steps);
+        shown = Some(tokio::spawn(learning));
+        summary = learner::run(options, &bus, shutdown.clone()).await?;
         Ok(())
     })
     .await;
@@ -107,10 +101,13 @@ pub(super) async fn run_learner(
         shown.await?;
     }
     ended?;
+    let is_complete = summary.as_ref().is_some_and(|summary| summary.n_env_steps >= config.n_env_steps);
+    if summary.is_some() {
+        terminal.print(&farewell(&run_dir, is_complete));
+    }
     if args.fail_unfinished && !is_complete { Err(Failure::Unfinished(config.n_env_steps)) } else { Ok(()) }
 }
 
-/// Runs `evaluator`: evaluates and prints reports.
 pub(super) async fn run_evaluator(
     settings: &Settings,
     args: &EvaluatorArgs,
@@ -121,9 +118,10 @@ pub(super) async fn run_evaluator(
     check_evaluator(config, Catalog::builtin())?;
     let id = name(args.member.id.clone(), Role::Evaluator)?;
     terminal.print(&begins(&format!("evaluator `{id}` evaluates weights"), settings));
-    let setup = evaluator_setup(config, id, args.run_dir.as_deref());
+    let setup = evaluator_setup(config, id, args.run_dir.as_deref(), Catalog::builtin());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
-    let opened = page(web(config), terminal).await?;
+    let opened = page(web(config)).await?;
+    tell_page(opened.as_ref(), terminal);
     let command = args.run_dir.clone().map(|run_dir| serve_command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };
     let page =
@@ -131,16 +129,34 @@ pub(super) async fn run_evaluator(
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
     let (progress, counted) = watch::channel(None);
-    let counting = tokio::spawn(live::show_evaluating(counted, terminal.clone(), || true));
+    let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.clone(), || true));
+    let listeners = Listeners { reports, progress, ..Listeners::default() };
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
     let evaluate = async |bus: Bus| {
         let _told = AbortOnDropHandle::new(tokio::spawn(tell_of_learner(bus.clone())));
-        evaluator(setup, reports, progress, page, bus, stop).await
+        evaluator(setup, config.n_env_steps, listeners, page, bus, stop).await
     };
     let ended = on_bus(config, &health, &shutdown, evaluate).await;
     counting.await?;
     shown.await?;
     ended
+}
+
+pub(super) async fn run_router(args: &RouterArgs, shutdown: CancellationToken) -> Result<(), Failure> {
+    // A run's name prefixes only the keys that its own processes use, so one router serves every run.
+    let (listen, connect) = (args.listen.clone(), args.connect.clone());
+    let security = SecurityConfig { keys: args.keys.folder("router") };
+    let config = BusConfig { mode: BusMode::Router, listen, connect, security, ..BusConfig::default() };
+    let config = Valid::new(config).map_err(ConfigError::from)?;
+    let health = Reporter::start("router", args.health.health_file.as_deref())?;
+    let Some(bus) = join_bus(&config, &shutdown).await? else { return Ok(()) };
+    health.joined(&bus);
+    // A router has no main loop that could hang.
+    let _waiting = bus.pulse().waiting();
+    tracing::info!(listen = ?config.listen, with_keys = config.security.keys.is_some(), "routing");
+    shutdown.cancelled().await;
+    bus.close().await;
+    Ok(())
 }
 
 /// Joins the bus for as long as `service` runs; does nothing if `shutdown` comes before a router answers.
@@ -201,6 +217,7 @@ pub(super) fn about(settings: &Settings, catalog: &Arc<Catalog>, farewell: Farew
         preset: settings.preset.map(|preset| preset.name.to_owned()),
         n_env_steps: Some(config.n_env_steps),
         blueprints: config.evaluator.selection.blueprints.clone(),
+        trained: config.actor.tasks.filter.select(catalog).unwrap_or_default(),
         catalog: catalog.clone(),
         farewell,
         origin: serde_json::json!({ "settings": config.shown() }),
@@ -208,21 +225,22 @@ pub(super) fn about(settings: &Settings, catalog: &Arc<Catalog>, farewell: Farew
     }
 }
 
-/// Runs an evaluator, and serves its page if there is one. If it keeps records, it keeps the best policy as well.
+/// Like [`evaluate`]; if the evaluator keeps records, keeps the best policy and snapshots as well, of a run of
+/// `n_env_steps`.
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
-    reports: watch::Sender<Option<Arc<EvalReport>>>,
-    progress: watch::Sender<Option<EvaluationProgress>>,
+    n_env_steps: u64,
+    mut listeners: Listeners,
     page: Option<Opened>,
     bus: Bus,
     stop: Stop,
 ) -> Result<(), Failure> {
-    let mut listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Listeners::default() };
     let mut keeping = None;
     if let Some(paths) = setup.records.clone() {
         let (evaluated, verdicts) = mpsc::unbounded_channel();
-        listeners.evaluated = Some(evaluated);
-        keeping = Some(tokio::spawn(best::keep(verdicts, setup.policy.clone(), paths)));
+        listeners.evaluated = evaluated;
+        let newest = listeners.weights.subscribe();
+        keeping = Some(tokio::spawn(best::keep(verdicts, newest, n_env_steps, setup.policy.clone(), paths)));
     }
     let ended = evaluate(setup, listeners, page, bus, stop).await;
     // It ends with the evaluator, and the last verdict may be the best.
@@ -279,8 +297,9 @@ impl Opened {
     fn onto(self, setup: &EvaluatorSetup, listeners: &mut Listeners) -> (Page, Source) {
         let Self { page, about, first, run: other } = self;
         let (evaluation_sender, evaluations) = mpsc::unbounded_channel();
-        let (weights_sender, weights) = watch::channel(first);
-        (listeners.evaluations, listeners.weights) = (Some(evaluation_sender), Some(weights_sender));
+        listeners.evaluations = evaluation_sender;
+        listeners.weights.send_replace(first);
+        let weights = listeners.weights.subscribe();
         let (policy, run) = (setup.policy.clone(), setup.records.clone());
         let stage = stage(setup.environment.clone(), policy.clone(), weights.clone(), other.or_else(|| run.clone()));
         let stage = Some(stage);
@@ -293,28 +312,39 @@ pub(super) fn web(config: &Valid<Config>) -> Option<Valid<WebConfig>> {
     config.part(|config| &config.dashboard.web).transpose()
 }
 
-/// Binds the page's address, if a page is configured, and prints it.
-pub(super) async fn page(web: Option<Valid<WebConfig>>, terminal: &Terminal) -> Result<Option<Page>, Failure> {
-    let Some(web) = web else { return Ok(None) };
-    let page = Page::bind(&web).await?;
-    terminal.print(&format!("page at http://{}", page.address()));
-    Ok(Some(page))
+/// Binds the page's address, if a page is configured.
+pub(super) async fn page(web: Option<Valid<WebConfig>>) -> Result<Option<Page>, Failure> {
+    match web {
+        Some(web) => Ok(Some(Page::bind(&web).await?)),
+        None => Ok(None),
+    }
 }
 
-/// The setup of an actor.
-pub fn actor_setup(config: &Valid<Config>, id: ActorId) -> ActorSetup {
+pub(super) fn tell_page(page: Option<&Page>, terminal: &Terminal) {
+    if let Some(page) = page {
+        terminal.print(&format!("page at http://{}", page.address()));
+    }
+}
+
+/// The setup of an actor; `catalog` has the goals.
+pub fn actor_setup(config: &Valid<Config>, id: ActorId, catalog: &Arc<Catalog>) -> ActorSetup {
     ActorSetup {
         config: config.part(|config| &config.actor),
         policy: config.part(|config| &config.policy),
         environment: config.part(|config| &config.environment),
         id,
         seed: config.seed,
-        catalog: Catalog::builtin().clone(),
+        catalog: catalog.clone(),
     }
 }
 
-/// The setup of an evaluator, which keeps its reports in `run_dir`.
-pub(super) fn evaluator_setup(config: &Valid<Config>, id: String, run_dir: Option<&Path>) -> EvaluatorSetup {
+/// The setup of an evaluator, which keeps its reports in `run_dir`; `catalog` has the goals.
+pub(super) fn evaluator_setup(
+    config: &Valid<Config>,
+    id: String,
+    run_dir: Option<&Path>,
+    catalog: &Arc<Catalog>,
+) -> EvaluatorSetup {
     EvaluatorSetup {
         config: config.part(|config| &config.evaluator),
         policy: config.part(|config| &config.policy),
@@ -322,7 +352,7 @@ pub(super) fn evaluator_setup(config: &Valid<Config>, id: String, run_dir: Optio
         id,
         seed: config.seed,
         records: run_dir.map(RunPaths::new),
-        catalog: Catalog::builtin().clone(),
+        catalog: catalog.clone(),
     }
 }
 
@@ -371,7 +401,7 @@ pub(super) fn run_dir(
     setup: &LearnerSetup,
     origin: &Origin,
 ) -> Result<RunDir, Failure> {
-    let mut run_dir = RunDir::claim(path, &settings.config, origin)?;
+    let run_dir = RunDir::claim(path, &settings.config, origin)?;
     learner::check(setup, origin.checkpoint.as_deref()).inspect_err(|_| run_dir.abandon())?;
     run_dir.describe(&settings.config, settings.preset, origin)?;
     Ok(run_dir)
@@ -404,13 +434,12 @@ fn invalid(origin: &str, message: impl std::fmt::Display) -> Failure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Override;
+    use crate::config::{Base, Override, merge};
 
     #[test]
     fn an_evaluator_without_its_blueprints_is_refused_by_the_name_of_the_setting() {
         let check = |set: &str| {
-            let set = Override::parse(set).unwrap();
-            let config = crate::config::merge("", "defaults", crate::config::Base::Defaults, &[set]).unwrap();
+            let config = merge("", "defaults", Base::Defaults, &[Override::parse(set).unwrap()]).unwrap();
             check_evaluator(&config, Catalog::builtin())
         };
         assert!(check("evaluator.videos.blueprints=[\"2_000\"]").is_ok());

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use dashboard::{Builder, Order, Stage, StageError};
 use evaluator::{EnvironmentConfig, EvalError, Performance, Performer, PolicyConfig, perform};
-use learner::Model;
+use learner::{Model, read_model};
 use proto::{Valid, Weights};
 use runlog::RunPaths;
 use tokio::sync::watch;
@@ -20,7 +20,7 @@ pub(super) fn stage(
         let &Order { ref blueprint, ref before, builder, acting, seed, snapshot, ref disturbances } = order;
         let snapshot = snapshot.filter(|_| builder == Builder::Policy).map(|n_env_steps| {
             let path = run.as_ref().and_then(|run| run.snapshots().remove(&n_env_steps));
-            let model = Model::read(&path.ok_or(StageError::NoSnapshot(n_env_steps))?);
+            let model = read_model(&path.ok_or(StageError::NoSnapshot(n_env_steps))?);
             model.map_err(|error| StageError::Failed(error.to_string()))
         });
         let snapshot = snapshot.transpose()?;
@@ -36,7 +36,6 @@ pub(super) fn stage(
             EvalError::Interrupted => StageError::Unwanted,
             error => StageError::Failed(error.to_string()),
         };
-        let episode = perform(performance, performer, keep_going).map_err(failed)?;
-        episode.ok_or_else(|| StageError::Failed("it was over before its first step".to_owned()))
+        perform(performance, performer, keep_going).map_err(failed)
     })
 }

@@ -1,7 +1,6 @@
 //! `sweep`: trains the points of a grid or of a random search, with several seeds each, and compares them.
 
 mod axes;
-mod curves;
 mod plan;
 mod pool;
 mod results;

@@ -5,23 +5,22 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use actor::ActorSetup;
 use blueprints::Catalog;
 use blueprints::outside::as_text;
 use bus::{Bus, BusConfig};
 use dashboard::{About, Farewell, Page};
-use evaluator::{EvaluationProgress, EvaluatorSetup, Stop};
-use learner::{Arrivals, LearnerSetup, RunOptions, Source};
+use evaluator::{Listeners, Stop};
+use learner::{Arrivals, RunOptions, Source};
 use proto::keys::Role;
-use proto::metrics::{EvalReport, EvalSummary, LearnerMetrics};
+use proto::metrics::EvalSummary;
 use proto::{ActorId, Valid, Weights};
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-use super::common::{configure, join_bus, json, origin, serve_command};
-use super::goals::{Goals, tell_choices};
+use super::common::{configure, farewell, join_bus, json, origin, serve_command};
+use super::goals::Goals;
 use super::in_process::InProcess;
 use super::runtime::on_runtime;
 use super::services;
@@ -30,14 +29,13 @@ use crate::config::{Config, Override, Preset};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
-use crate::run_dir::{Origin, RunDir, origin_of};
+use crate::run_dir::{Origin, RunDir, origin_of, preset_of};
 use crate::shell::{self, program};
 use crate::signals;
 
 /// Name of this process's actor and evaluator, unlike those of processes that join.
 const LOCAL: &str = "local";
 
-/// Summary of a training.
 #[derive(Debug, Serialize)]
 pub(super) struct Summary {
     run: String,
@@ -53,7 +51,6 @@ pub(super) struct Summary {
     evaluation: Option<EvalSummary>,
 }
 
-/// Runs `train`.
 pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failure> {
     let listen = (!args.listen.is_empty()).then(|| Override::flag("--listen", "bus.listen", args.listen.clone()));
     let actors = args.actors.map(|n_threads| Override::flag("--actors", "actor.n_threads", n_threads));
@@ -70,8 +67,8 @@ pub(super) fn command(args: &TrainArgs, terminal: &Terminal) -> Result<(), Failu
             shell::path(run)
         )));
     }
-    tell_choices(&args.blueprint, &said)?;
     let goals = Goals::for_training(&args.blueprint, origin.config.as_deref())?;
+    goals.tell_choices(&said);
     let flags = args.run.overrides().into_iter().chain(goals.settings());
     let flags = flags.chain(given.into_iter().flatten()).collect();
     let Some(settings) = configure(&args.config, origin.config.as_ref(), flags, terminal)? else {
@@ -100,7 +97,14 @@ pub(super) async fn run(
 ) -> Result<Summary, Failure> {
     let start = Instant::now();
     let config = &settings.config;
-    let Prepared { setup, run_dir, page, health } = prepare(settings, args, &goals.catalog, &origin, terminal).await?;
+    services::check_evaluator(config, &goals.catalog)?;
+    let setup = services::learner_setup(config, args.run.init_from.as_deref(), &goals.catalog)?;
+    // Bind the page before writing anything, because the address may be taken.
+    let page = page(config, args).await?;
+    let health = Reporter::start("train", args.health.health_file.as_deref())?;
+    let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, &origin)?;
+    services::tell_page(page.as_ref(), terminal);
+    let page = page.map(|page| opened(page, settings, goals, &run_dir));
     terminal.print(&introduction(settings, &origin, &run_dir));
     let bus = watchable(config.part(|config| &config.bus), run_dir.path());
     let joined = join_bus(&bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
@@ -110,15 +114,24 @@ pub(super) async fn run(
     };
     goals.keep(&run_dir.paths)?;
     health.joined(&bus);
-    let (channels, mut views) = Channels::open(&bus, config, args, terminal).await?;
-    let reports = channels.reports.subscribe();
+    let actors = bus.alive(Role::Actor).await?;
+    let (metrics, updates) = watch::channel(None);
+    let (reports, evaluated) = watch::channel(None);
+    let (progress, counted) = watch::channel(None);
+    let (last, last_weights) = watch::channel(None);
+    let learner_is_done = move || last_weights.borrow().is_some();
+    let mut views = JoinSet::new();
+    views.spawn(live::show_learning(updates, actors, evaluated.clone(), terminal.clone(), config.n_env_steps));
+    views.spawn(live::show_reports(evaluated.clone(), terminal.clone(), live::detail(args.verbose)));
+    views.spawn(live::show_episodes(counted, "evaluated", terminal.clone(), learner_is_done));
     let source: Box<dyn Source> = match config.lockstep {
-        true => Box::new(InProcess::new(config, goals.catalog.clone())),
+        true => Box::new(InProcess::new(config, &goals.catalog)),
         false => Box::new(Arrivals),
     };
-    let options = |metrics| services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
+    let options = services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
+    let listeners = Listeners { reports, progress, ..Listeners::default() };
     let services = Services { config, catalog: &goals.catalog, bus: &bus, folder: run_dir.path(), terminal, shutdown };
-    let ended = services.run(options, channels, page).await;
+    let ended = services.run(options, last, listeners, page).await;
     bus.close().await;
     while let Some(view) = views.join_next().await {
         view?;
@@ -132,104 +145,48 @@ pub(super) async fn run(
         is_complete,
         elapsed_s: start.elapsed().as_secs_f64(),
         learner,
-        evaluation: reports.borrow().as_ref().map(|report| report.summary.clone()),
+        evaluation: evaluated.borrow().as_ref().map(|report| report.summary.clone()),
     })
 }
 
-/// What a training has before it joins its bus.
-struct Prepared {
-    setup: LearnerSetup,
-    run_dir: RunDir,
-    page: Option<services::Opened>,
-    health: Reporter,
-}
-
-async fn prepare(
-    settings: &Settings,
-    args: &TrainArgs,
-    catalog: &Arc<Catalog>,
-    origin: &Origin,
-    terminal: &Terminal,
-) -> Result<Prepared, Failure> {
-    let config = &settings.config;
-    services::check_evaluator(config, catalog)?;
-    let setup = services::learner_setup(config, args.run.init_from.as_deref(), catalog)?;
-    // Bind the page before writing anything, because the address may be taken.
-    let page = page(config, args, terminal).await?;
-    let health = Reporter::start("train", args.health.health_file.as_deref())?;
-    let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, origin)?;
-    let preset = run_dir.preset.clone();
+/// The page of the run in this folder.
+fn opened(page: Page, settings: &Settings, goals: &Goals, run_dir: &RunDir) -> services::Opened {
     let last_words = Farewell { ended: "the run", command: Some(serve_command(&[run_dir.path().to_owned()])) };
-    let origin = origin_of(&run_dir.paths, config);
-    let about = About { preset, origin, ..services::about(settings, catalog, last_words) };
-    let page = page.map(|page| services::Opened { page, about, first: None, run: None });
-    Ok(Prepared { setup, run_dir, page, health })
+    let about = About {
+        preset: preset_of(&run_dir.paths),
+        origin: origin_of(&run_dir.paths, &settings.config),
+        ..services::about(settings, &goals.catalog, last_words)
+    };
+    services::Opened { page, about, first: None, run: None }
 }
 
-/// Where the services report to.
-struct Channels {
-    metrics: watch::Sender<Option<LearnerMetrics>>,
-    reports: watch::Sender<Option<Arc<EvalReport>>>,
-    progress: watch::Sender<Option<EvaluationProgress>>,
-    /// The weights that the learner ends with.
-    last: watch::Sender<Option<Arc<Weights>>>,
-}
-
-impl Channels {
-    /// Opens them, and starts the tasks that print what arrives.
-    async fn open(
-        bus: &Bus,
-        config: &Valid<Config>,
-        args: &TrainArgs,
-        terminal: &Terminal,
-    ) -> Result<(Self, JoinSet<()>), Failure> {
-        let actors = bus.alive(Role::Actor).await?;
-        let (metrics, updates) = watch::channel(None);
-        let (reports, evaluated) = watch::channel(None);
-        let (progress, counted) = watch::channel(None);
-        let (last, ended) = watch::channel(None);
-        let learning = {
-            let (reports, terminal, config) = (evaluated.clone(), terminal.clone(), config.clone());
-            async move { live::show_learning(updates, actors, reports, terminal, &config).await }
-        };
-        let learner_is_done = move || ended.borrow().is_some();
-        let mut views = JoinSet::new();
-        views.spawn(learning);
-        views.spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
-        views.spawn(live::show_evaluating(counted, terminal.clone(), learner_is_done));
-        Ok((Self { metrics, reports, progress, last }, views))
-    }
-}
-
-/// The services of a training.
 struct Services<'t> {
     config: &'t Valid<Config>,
     catalog: &'t Arc<Catalog>,
     bus: &'t Bus,
-    /// The run's folder.
     folder: &'t Path,
     terminal: &'t Terminal,
     shutdown: CancellationToken,
 }
 
 impl Services<'_> {
-    /// Runs all of them until each has ended.
+    /// Runs all of them until each has ended. The learner sends the weights that it ends with to `last`.
     async fn run(
         self,
-        options: impl FnOnce(watch::Sender<Option<LearnerMetrics>>) -> RunOptions,
-        channels: Channels,
+        options: RunOptions,
+        last: watch::Sender<Option<Arc<Weights>>>,
+        listeners: Listeners,
         page: Option<services::Opened>,
     ) -> Result<learner::Summary, Failure> {
-        let Channels { metrics, reports, progress, last } = channels;
         let last_weights = last.subscribe();
         // Ends what needs the learner; the evaluator may still have the last weights to evaluate.
         let training = self.shutdown.child_token();
         let (summary, learned) = oneshot::channel();
         let mut running = JoinSet::new();
-        running.spawn(self.learner(options(metrics), last, summary, training.clone()));
+        running.spawn(self.learner(options, last, summary, training.clone()));
         if !self.config.lockstep {
             let id = ActorId::try_from(LOCAL.to_owned()).expect("the name is lower case");
-            let setup = ActorSetup { catalog: self.catalog.clone(), ..services::actor_setup(self.config, id) };
+            let setup = services::actor_setup(self.config, id, self.catalog);
             // The learner's lines and bar count all actors.
             let metrics = watch::channel(None).0;
             let bus = self.bus.clone();
@@ -239,11 +196,8 @@ impl Services<'_> {
             );
         }
         let stop = Stop { now: self.shutdown.clone(), last: Some(last_weights.clone()) };
-        let setup = EvaluatorSetup {
-            catalog: self.catalog.clone(),
-            ..services::evaluator_setup(self.config, LOCAL.to_owned(), Some(self.folder))
-        };
-        running.spawn(services::evaluator(setup, reports, progress, page, self.bus.clone(), stop));
+        let setup = services::evaluator_setup(self.config, LOCAL.to_owned(), Some(self.folder), self.catalog);
+        running.spawn(services::evaluator(setup, self.config.n_env_steps, listeners, page, self.bus.clone(), stop));
         let mut ended = Ok(());
         while let Some(service) = running.join_next().await {
             // Any service that ends, even without an error, ends the run, because the others have nothing to do without
@@ -301,14 +255,14 @@ fn watchable(bus: Valid<BusConfig>, folder: &Path) -> Valid<BusConfig> {
 }
 
 /// Serves the page at the configured address, or else on a free port, where a failure is only logged.
-async fn page(config: &Valid<Config>, args: &TrainArgs, terminal: &Terminal) -> Result<Option<Page>, Failure> {
+async fn page(config: &Valid<Config>, args: &TrainArgs) -> Result<Option<Page>, Failure> {
     if args.no_web {
         return Ok(None);
     }
     if let Some(web) = services::web(config) {
-        return services::page(Some(web), terminal).await;
+        return services::page(Some(web)).await;
     }
-    let page = services::page(Some(Valid::default()), terminal).await;
+    let page = services::page(Some(Valid::default())).await;
     Ok(page.unwrap_or_else(|error| {
         tracing::warn!(%error, "training without a page");
         None
@@ -348,22 +302,13 @@ fn takes(preset: &Preset, n_env_steps: u64) -> String {
     if n_env_steps == whole {
         return format!("the whole preset takes {}", preset.takes);
     }
-    let percent = 100.0 * n_env_steps as f64 / whole as f64;
-    let digits = if percent < 10.0 { 1 } else { 0 };
-    format!("the preset's {whole} steps take {}; {n_env_steps} are {percent:.digits$} % of them", preset.takes)
-}
-
-fn farewell(run_dir: &RunDir, is_complete: bool) -> String {
-    // Without a higher step limit, a complete run would stop at once.
-    let steps = if is_complete { " --steps N" } else { "" };
-    let shown = run_dir.path().display();
-    let path = shell::path(run_dir.path());
-    let program = program();
-    format!(
-        "\nsaved in {shown}\n  evaluate it: {program} eval --checkpoint {path}\n  \
-         continue it: {program} train --resume {path}{steps}\n  \
-         look at it: {program} serve {path}"
-    )
+    let times = n_env_steps as f64 / whole as f64;
+    let digits = if times < 0.1 { 1 } else { 0 };
+    let share = match times > 1.0 {
+        true => format!("{times:.1} times as many"),
+        false => format!("{:.digits$} % of them", 100.0 * times),
+    };
+    format!("the preset's {whole} steps take {}; {n_env_steps} are {share}", preset.takes)
 }
 
 #[cfg(test)]
@@ -378,5 +323,6 @@ mod tests {
         let part = takes(preset, whole / 40);
         assert!(part.starts_with(&format!("the preset's {whole} steps take about")), "{part}");
         assert!(part.ends_with(&format!("; {} are 2.5 % of them", whole / 40)), "{part}");
+        assert!(takes(preset, 5 * whole).ends_with("; 1000000 are 5.0 times as many"));
     }
 }

@@ -55,7 +55,8 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
         .into_iter()
         .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
         .filter(|(similarity, _)| *similarity >= ALIKE)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
+        // Of equals, the first.
+        .min_by(|a, b| b.0.total_cmp(&a.0))
         .map(|(_, candidate)| candidate.to_owned())
 }
 
@@ -74,7 +75,8 @@ impl ConfigError {
         }
         let mut names = message.split('`').skip(1).step_by(2);
         let key = names.next().unwrap_or_default();
-        let suggestion = suggestion_or(&nearest(key, names), "; `lodestone train --print-config` lists all keys");
+        let suggestion =
+            suggestion_or(&nearest(key, names), "; `lodestone train --print-config --schema` lists all keys");
         Self::Value { origin, message: format!("unknown key `{key}`{suggestion}") }
     }
 }

@@ -7,7 +7,6 @@ use super::{Config, ConfigError, NO_BASE, Preset, shorten};
 /// Settings that are variables without a section.
 pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
 
-/// Prefix of every variable of this program.
 pub(super) const PREFIX: &str = "LODESTONE_";
 
 /// A key that is set from outside the file.
@@ -308,48 +307,11 @@ mod tests {
     }
 
     #[test]
-    fn later_layers_win() {
-        let environment = Override::from_variables([("LODESTONE_SEED".into(), "2".into())]).unwrap();
-        assert_eq!(merge("seed = 1", "file", &[]).unwrap().seed, 1);
-        assert_eq!(merge("seed = 1", "file", &environment).unwrap().seed, 2);
-        let all = [environment, vec![Override::flag("--seed", "seed", 3)]].concat();
-        assert_eq!(merge("seed = 1", "file", &all).unwrap().seed, 3);
-    }
-
-    #[test]
-    fn a_file_is_put_over_its_base() {
-        let paper = merge("base = \"paper\"", "file", &[]).unwrap();
-        let config = merge("base = \"paper\"\n[actor]\nn_worlds = 3", "file", &[]).unwrap();
-        assert_eq!(config.actor.n_worlds, 3);
-        assert_eq!((config.policy, config.learner), (paper.policy, paper.learner));
+    fn a_file_changes_a_choice_of_its_base_which_must_exist() {
         let other = merge("base = \"quickstart\"\n[evaluator]\nevery = { versions = 3 }", "file", &[]).unwrap();
         assert_eq!(other.evaluator.every, evaluator::Every::Versions(3));
         let unknown = merge("base = \"papr\"", "file", &[]).unwrap_err().to_string();
         assert!(unknown.starts_with("there is no preset `papr`; did you mean `paper`?"), "{unknown}");
-    }
-
-    #[test]
-    fn a_file_names_its_base_or_takes_the_one_given() {
-        let quickstart = Base::find("quickstart").unwrap();
-        let over = |text: &str| super::merge(text, "file", quickstart, &[]).unwrap();
-        let expected = merge("base = \"quickstart\"\nseed = 5", "file", &[]).unwrap();
-        assert_eq!(over("seed = 5"), expected);
-        assert_eq!(over("seed = 5\nbase = \"none\""), merge("seed = 5", "file", &[]).unwrap());
-        assert_eq!(over("base = \"paper\""), merge("base = \"paper\"", "file", &[]).unwrap());
-        let named = |text: &str| Base::named_in(text, "file").unwrap();
-        assert_eq!((named("seed = 5"), named("base = \"none\"")), (None, Some(Base::Defaults)));
-        assert_eq!(
-            (Base::Defaults.to_string(), quickstart.to_string()),
-            ("the plain defaults".into(), "the preset `quickstart`".into())
-        );
-    }
-
-    #[test]
-    fn a_whole_configuration_is_the_same_over_every_base() {
-        let paper = merge("base = \"paper\"", "file", &[]).unwrap();
-        let written = paper.to_toml();
-        assert!(written.starts_with("base = \"none\"\n"), "{written}");
-        assert_eq!(super::merge(&written, "file", Base::find("quickstart").unwrap(), &[]).unwrap(), paper);
     }
 
     #[test]
@@ -391,12 +353,15 @@ mod tests {
             ("LODESTONE_PORT_7447_TCP", "tcp://10.0.0.1:7447"),
             ("LODESTONE_GOLDEN_DIR", "golden"),
             ("LODESTONE_ACTOR__N_WORLDS", "8"),
+            ("LODESTONE_RUN", "7"),
+            ("LODESTONE_SEED", "2"),
             ("HOME", "/"),
         ];
         let overrides = Override::from_variables(variables.map(|(name, value)| (name.into(), value.into()))).unwrap();
-        assert_eq!(overrides.len(), 1);
+        assert_eq!(overrides.len(), 3);
         assert_eq!(overrides[0].path, ["actor", "n_worlds"]);
-        assert_eq!(merge("", "defaults", &overrides).unwrap().actor.n_worlds, 8);
+        let merged = merge("seed = 1", "file", &overrides).unwrap();
+        assert_eq!((merged.actor.n_worlds, merged.bus.run.as_str(), merged.seed), (8, "7", 2));
     }
 
     #[test]

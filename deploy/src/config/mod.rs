@@ -33,7 +33,6 @@ pub use variables::check_variables;
 /// Maximum size of a configuration file in bytes; one with every setting has about 10 000.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// Reads a configuration file.
 pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
     outside::read_text(path, MAX_FILE_BYTES).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
 }

@@ -32,7 +32,7 @@ pub const PRESETS: &[Preset] = presets![
         "about an hour on one core, 0.5 GB of memory and 0.5 GB of disk; it may be ended and resumed at any time";
     "smoke": "for checks of the whole system: one goal of five blocks", "a minute on two cores";
     "paper": "the paper's protocol, for comparisons with it",
-        "months on two cores: meant for hundreds of actors, and for weeks with them";
+        "months on two cores, and weeks on hundreds of actors, for which it is meant";
 ];
 
 impl Preset {

@@ -38,9 +38,6 @@ pub fn check_variables<'n>(
     program: &clap::Command,
 ) -> Result<(), ConfigError> {
     let ours: BTreeSet<&str> = names.into_iter().filter_map(|name| name.strip_prefix(PREFIX)).collect();
-    if ours.is_empty() {
-        return Ok(());
-    }
     let known = known(program);
     let means_nothing = |name: &&&str| !name.contains("__") && !known.contains(**name) && !is_service(name);
     let Some(unknown) = ours.iter().find(means_nothing) else { return Ok(()) };

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use dashboard::{Sizes, waits};
+use evaluator::EvaluationProgress;
 use proto::metrics::{ActorMetrics, LearnerMetrics};
 
 /// What a line about the learner needs in addition to its metrics.
@@ -10,7 +11,6 @@ use proto::metrics::{ActorMetrics, LearnerMetrics};
 pub(super) struct Context {
     /// Total environment steps of the run.
     pub(super) n_env_steps: u64,
-    /// Number of live actors.
     pub(super) n_actors: usize,
     /// Seconds left at the current pace.
     pub(super) left_s: Option<f64>,
@@ -79,7 +79,6 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     parts
 }
 
-/// One line with an actor's progress.
 pub(super) fn actor(actor: &ActorMetrics) -> String {
     let learner = if actor.learner_is_there { "" } else { "  no learner is there" };
     format!(
@@ -93,10 +92,15 @@ pub(super) fn actor(actor: &ActorMetrics) -> String {
     )
 }
 
-/// The time left for the rest of `n_planned` if `n_ended` took `elapsed`.
-pub(super) fn left(n_ended: u64, n_planned: u64, elapsed: Duration) -> String {
-    let seconds = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended.max(1) as f64;
-    format!("{} left", duration(seconds))
+/// Success rate of the episodes so far, and the time left at this pace. Empty before the first one has ended.
+pub(super) fn so_far(progress: &EvaluationProgress, elapsed: Duration) -> String {
+    let &EvaluationProgress { n_ended, n_successes, n_planned } = progress;
+    if n_ended == 0 {
+        return String::new();
+    }
+    let percent = 100.0 * n_successes as f64 / n_ended as f64;
+    let left_s = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended as f64;
+    format!("success {percent:.1} %  {} left", duration(left_s))
 }
 
 /// Formats a duration as `40 s`, `12 min`, or `3.5 h`.
@@ -183,5 +187,14 @@ mod tests {
         (learner.n_env_steps, learner.elapsed_s) = (4000, 200.0);
         assert_eq!(pace.left_s(&learner, 3000), Some(0.0));
         assert_eq!([40.0, 720.0, 12_600.0].map(duration), ["40 s", "12 min", "3.5 h"]);
+    }
+
+    #[test]
+    fn success_and_rest_are_those_of_the_episodes_so_far() {
+        // 20 episodes in 10 s, with 100 left.
+        let progress = EvaluationProgress { n_ended: 20, n_successes: 5, n_planned: 120 };
+        assert_eq!(so_far(&progress, Duration::from_secs(10)), "success 25.0 %  50 s left");
+        let begun = EvaluationProgress { n_planned: 120, ..EvaluationProgress::default() };
+        assert_eq!(so_far(&begun, Duration::from_secs(10)), "");
     }
 }

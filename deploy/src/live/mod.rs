@@ -1,6 +1,5 @@
 //! Progress output of commands: metrics of this process, as lines or as a progress bar, and evaluation reports.
 
-mod episodes;
 mod lines;
 mod terminal;
 
@@ -14,8 +13,6 @@ use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::config::Config;
-pub use episodes::EpisodeCounter;
 use lines::{Context, Pace};
 use terminal::Progress;
 pub(crate) use terminal::has_colors;
@@ -29,22 +26,22 @@ pub type Reports = watch::Receiver<Option<Arc<EvalReport>>>;
 
 /// How much of a report is printed.
 pub fn detail(verbose: bool) -> Detail {
-    /// Number of worst blueprints to list.
     const N_WORST: usize = 5;
     if verbose { Detail::Blueprints } else { Detail::Worst(N_WORST) }
 }
 
-/// Shows the metrics of this process's learner until it ends; without a terminal, at most one line every ten seconds.
+/// Shows the metrics of this process's learner, which has `n_env_steps` to go through, until it ends. Without a
+/// terminal, prints at most one line every ten seconds.
 pub async fn show_learning(
     mut metrics: watch::Receiver<Option<LearnerMetrics>>,
     actors: AliveWatch,
     reports: Reports,
     terminal: Terminal,
-    config: &Config,
+    n_env_steps: u64,
 ) {
-    let progress = terminal.progress(config.n_env_steps, "steps");
+    let progress = terminal.progress(n_env_steps, "steps");
     let actors = actors.watch();
-    let mut context = Context { n_env_steps: config.n_env_steps, ..Context::default() };
+    let mut context = Context { n_env_steps, ..Context::default() };
     let mut pace = Pace::default();
     let mut last_line: Option<Instant> = None;
     let mut not_saved = None;
@@ -52,7 +49,7 @@ pub async fn show_learning(
         let Some(learner) = metrics.borrow_and_update().clone() else { continue };
         context.sizes.add(&learner);
         context.n_actors = actors.borrow().len();
-        context.left_s = pace.left_s(&learner, context.n_env_steps);
+        context.left_s = pace.left_s(&learner, n_env_steps);
         let evaluated = reports.borrow().clone();
         context.evaluated = evaluated.and_then(|of| success_rate(&of.summary.all.greedy, &of.summary.all.sampled));
         progress.set(learner.n_env_steps, &lines::parts(&learner, &context).join("\n"));
@@ -78,30 +75,30 @@ pub async fn show_acting(mut metrics: watch::Receiver<Option<ActorMetrics>>, ter
     }
 }
 
-/// Shows the progress of evaluations as a bar on a terminal; otherwise prints a line every ten seconds while
-/// `prints_lines`.
-pub async fn show_evaluating(
+/// Shows how many episodes were `done`, such as "evaluated", as a bar on a terminal; otherwise prints a line every ten
+/// seconds while `prints_lines`.
+pub async fn show_episodes(
     mut progress: watch::Receiver<Option<EvaluationProgress>>,
+    done: &str,
     terminal: Terminal,
     prints_lines: impl Fn() -> bool,
 ) {
     let mut shown: Option<(Progress, Instant)> = None;
     let mut last_line = Instant::now();
     while progress.changed().await.is_ok() {
-        let Some(EvaluationProgress { n_ended, n_planned }) = *progress.borrow_and_update() else {
+        let Some(now) = *progress.borrow_and_update() else {
             shown = None;
             continue;
         };
         let (bar, begun) = shown.get_or_insert_with(|| {
             last_line = Instant::now();
-            (terminal.progress(n_planned, "episodes of the evaluation"), Instant::now())
+            (terminal.progress(now.n_planned, &format!("episodes {done}")), Instant::now())
         });
-        // Before the first episode has ended, there is no pace to extrapolate.
-        let left = if n_ended == 0 { String::new() } else { lines::left(n_ended, n_planned, begun.elapsed()) };
-        bar.set(n_ended, &left);
+        let so_far = lines::so_far(&now, begun.elapsed());
+        bar.set(now.n_ended, &so_far);
         if !bar.is_drawn() && prints_lines() && last_line.elapsed() >= LINE_PERIOD {
             last_line = Instant::now();
-            terminal.print(&format!("evaluating: {n_ended} of {n_planned} episodes  {left}"));
+            terminal.print(&format!("{} of {} episodes {done}  {so_far}", now.n_ended, now.n_planned));
         }
     }
 }

@@ -17,19 +17,14 @@ const MAX_HELD: usize = 1 << 16;
 /// The terminal, or the streams that replace it; clones share it.
 #[derive(Clone, Debug)]
 pub struct Terminal {
-    bars: Bars,
+    /// The progress bars below the lines.
+    drawn: MultiProgress,
+    /// The bars that are not finished; locked by whoever writes lines or changes a bar.
+    bars: Arc<Mutex<Vec<ProgressBar>>>,
     held: Arc<Mutex<Option<Held>>>,
     prints_to_stderr: bool,
     /// The first reason why something is missing from stdout.
     unwritten: Arc<Mutex<Option<io::Error>>>,
-}
-
-/// Progress bars below the lines; clones share them.
-#[derive(Clone, Debug)]
-struct Bars {
-    drawn: MultiProgress,
-    /// The bars that are not finished; locked by whoever writes lines or changes a bar.
-    all: Arc<Mutex<Vec<ProgressBar>>>,
 }
 
 /// Log lines that wait until the screen is free.
@@ -47,7 +42,7 @@ pub struct HeldLog(Option<Terminal>);
 #[derive(Debug)]
 pub(super) struct Progress {
     bar: ProgressBar,
-    bars: Bars,
+    terminal: Terminal,
 }
 
 /// Writes log lines to stderr, above the bar. It never fails: if stderr is closed, lines are lost. Otherwise the logger
@@ -82,25 +77,24 @@ pub(crate) fn has_colors(variable: impl Fn(&str) -> Option<OsString>) -> bool {
     variable("NO_COLOR").is_none_or(|value| value.is_empty()) && !is_dumb(&variable("TERM"))
 }
 
-impl Bars {
+impl Terminal {
+    fn with_bars_on(target: ProgressDrawTarget) -> Self {
+        let drawn = MultiProgress::with_draw_target(target);
+        let (bars, held, unwritten) = Default::default();
+        Self { drawn, bars, held, prints_to_stderr: false, unwritten }
+    }
+
     /// Writes lines above the bars. A terminal that is gone, for example because its window was closed, hides the bars.
     ///
     /// `MultiProgress::suspend` would panic when the terminal is gone, and again in each later thread that logs.
     fn write_above<T>(&self, write: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
-        let all = self.all.lock();
+        let bars = self.bars.lock();
         if self.drawn.clear().is_err() {
             self.drawn.set_draw_target(ProgressDrawTarget::hidden());
         }
         let written = write();
-        all.iter().for_each(ProgressBar::force_draw);
+        bars.iter().for_each(ProgressBar::force_draw);
         written
-    }
-}
-
-impl Terminal {
-    fn with_bars_on(target: ProgressDrawTarget) -> Self {
-        let bars = Bars { drawn: MultiProgress::with_draw_target(target), all: Arc::default() };
-        Self { bars, held: Arc::default(), prints_to_stderr: false, unwritten: Arc::default() }
     }
 
     /// The same terminal, for messages to people while stdout carries data for a program.
@@ -112,7 +106,7 @@ impl Terminal {
     /// does not end a run; [`Self::check_written`] returns it.
     pub fn print(&self, text: &str) {
         let text = printable_lines(text.trim_end());
-        let written = self.bars.write_above(|| match self.prints_to_stderr {
+        let written = self.write_above(|| match self.prints_to_stderr {
             false => writeln!(io::stdout(), "{text}"),
             true => writeln!(io::stderr(), "{text}"),
         });
@@ -160,10 +154,10 @@ impl Terminal {
             "{{bar:24}} {{human_pos}}/{{human_len}} {what}, {{elapsed}}\n{{msg}}"
         ))
         .unwrap_or_else(|_| ProgressStyle::default_bar());
-        let mut all = self.bars.all.lock();
-        let bar = self.bars.drawn.add(ProgressBar::new(n).with_style(style));
-        all.push(bar.clone());
-        Progress { bar, bars: self.bars.clone() }
+        let mut bars = self.bars.lock();
+        let bar = self.drawn.add(ProgressBar::new(n).with_style(style));
+        bars.push(bar.clone());
+        Progress { bar, terminal: self.clone() }
     }
 }
 
@@ -173,7 +167,7 @@ impl Progress {
     }
 
     pub(super) fn set(&self, n: u64, message: &str) {
-        let _all = self.bars.all.lock();
+        let _bars = self.terminal.bars.lock();
         // What goes on beyond its end has no longer that end: an update takes whole segments.
         if self.bar.length().is_some_and(|planned| n > planned) {
             self.bar.set_length(n);
@@ -183,9 +177,9 @@ impl Progress {
     }
 
     pub(super) fn finish(&self) {
-        let mut all = self.bars.all.lock();
+        let mut bars = self.terminal.bars.lock();
         self.bar.finish_and_clear();
-        all.retain(|bar| !bar.is_finished());
+        bars.retain(|bar| !bar.is_finished());
     }
 }
 
@@ -233,7 +227,7 @@ impl Write for LogWriter {
             return Ok(n_bytes);
         }
         // Its errors are dropped.
-        let _ = self.0.bars.write_above(|| io::stderr().write_all(bytes));
+        let _ = self.0.write_above(|| io::stderr().write_all(bytes));
         Ok(n_bytes)
     }
 

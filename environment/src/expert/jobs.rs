@@ -110,8 +110,7 @@ impl Expert {
                 && self.apart(view, first, &job);
             return Some((job, !free));
         }
-        let job = self.job(view, base, after, piece)?;
-        Some((job, true))
+        self.job(view, base, after, piece).map(|job| (job, true))
     }
 
     /// Returns how to bring `piece` to the base once `placed` stands, or `None` if there is no approach path.
@@ -188,11 +187,7 @@ impl Expert {
         if !view.is_held(job.gripped) || !view.is_held(first.gripped) {
             return None;
         }
-        let close = |a: usize, b: usize| {
-            let (a, b) = (self.block(a), self.block(b));
-            let (half_a, half_b) = (&view.half_extents[a.get()], &view.half_extents[b.get()]);
-            gap((view.pose(a), half_a), (view.pose(b), half_b)) < YIELD_M
-        };
+        let close = |a: usize, b: usize| gap(view.solid(self.block(a)), view.solid(self.block(b))) < YIELD_M;
         if !job.parts.iter().any(|a| first.parts.iter().any(|b| close(a, b))) {
             return None;
         }
@@ -209,10 +204,8 @@ impl Expert {
         // The first piece comes down on its path from above.
         let above = SKY_M.map(|height_m| first.way + Vector3::z() * height_m);
         avoid.extend(above.into_iter().flat_map(|offset| self.boxes_at(view, first, offset)));
-        avoid.extend(first.parts.iter().map(|part| {
-            let block = self.block(part);
-            (*view.pose(block), view.half_extents[block.get()])
-        }));
+        let carried = first.parts.iter().map(|part| view.solid(self.block(part)));
+        avoid.extend(carried.map(|(pose, half)| (*pose, *half)));
         let mut places = WAITS_M.into_iter().map(|offset| Translation3::from(offset) * job.entry());
         let free = |place: &Isometry3<f32>| !load.hits(view, place, 0.03) && load.is_apart(view, place, &avoid, 0.06);
         let twist = match places.find(free) {
@@ -228,7 +221,7 @@ impl Expert {
         BlockIdx::all().find(|&block| {
             let part = view.part_of[block.get()];
             let involved = part.is_some_and(|part| base.parts.contains(part) || job.parts.contains(part));
-            let other = (view.pose(block), &view.half_extents[block.get()]);
+            let other = view.solid(block);
             !involved
                 && !view.is_held(block)
                 && swept.iter().any(|(pose, half)| gap((pose, half), other) < STRAY_MARGIN_M)

@@ -159,8 +159,7 @@ impl Load {
             let half = &view.half_extents[block.get()];
             lowest(&at, half) < -0.01
                 || BlockIdx::all().any(|other| {
-                    self.boxes.iter().all(|&(block, _)| block != other)
-                        && gap((&at, half), (view.pose(other), &view.half_extents[other.get()])) < margin
+                    self.boxes.iter().all(|&(block, _)| block != other) && gap((&at, half), view.solid(other)) < margin
                 })
         })
     }

@@ -1,8 +1,7 @@
 //! Where to build: on free ground, away from the other blocks.
 
-use blueprints::BlockIdx;
-use blueprints::assembly::extent_m;
-use nalgebra::{Isometry3, Vector2};
+use blueprints::{BlockIdx, Placement};
+use nalgebra::{Isometry3, Point3, Vector2, Vector3};
 
 use super::view::View;
 use super::{Base, Expert};
@@ -17,14 +16,23 @@ const PUSH_WEIGHT: f32 = 0.7;
 const CROWD: f32 = 1.5;
 
 impl Expert {
-    /// Returns the center of the finished structure in the blueprint's frame, m, and its radius seen from above, m.
-    fn extent_m(&self, side: usize) -> ([f32; 3], f32) {
-        extent_m(self.blueprint.placements(), self.assembly.up(side))
+    /// Returns the center of the finished structure in the blueprint's frame, m, and the distance, seen from
+    /// above, from it to the farthest block's center, m.
+    fn extent_m(&self, side: usize) -> (Vector3<f32>, f32) {
+        let placements = self.blueprint.placements();
+        let sum: Vector3<f32> = placements.iter().map(Placement::position_m).sum();
+        let middle = sum / placements.len() as f32;
+        let up = self.assembly.up(side);
+        let across = |placement: &Placement| {
+            let away = placement.position_m() - middle;
+            (0..3).filter(|&axis| up[axis] == 0).map(|axis| away[axis].powi(2)).sum::<f32>().sqrt()
+        };
+        (middle, placements.iter().map(across).fold(0.0, f32::max))
     }
 
     /// Returns where the center of the finished structure would be.
     pub(super) fn middle(&self, frame: &Isometry3<f32>, side: usize) -> [f32; 2] {
-        let middle = frame * nalgebra::Point3::from(self.extent_m(side).0);
+        let middle = frame * Point3::from(self.extent_m(side).0);
         [middle.x, middle.y]
     }
 

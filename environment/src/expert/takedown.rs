@@ -127,7 +127,6 @@ fn n_pairs(joint: &Joint) -> usize {
 fn normal(joint: &Joint) -> Vector3<f32> {
     let inventory = Inventory::standard();
     let pairs = inventory.magnet_pairs(joint.a, joint.b, joint.relative);
-    pairs
-        .first()
-        .map_or_else(Vector3::zeros, |&(i, _)| Vector3::from(inventory.magnets(joint.a)[i].normal.map(|x| x as f32)))
+    let Some(&(i, _)) = pairs.first() else { return Vector3::zeros() };
+    Vector3::from(inventory.magnets(joint.a)[i].normal.map(|x| x as f32))
 }

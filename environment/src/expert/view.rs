@@ -74,6 +74,11 @@ impl View {
         &self.poses[block.get()]
     }
 
+    /// Returns the block as a box: its pose and its half extents, m.
+    pub(super) fn solid(&self, block: BlockIdx) -> (&Isometry3<f32>, &Vector3<f32>) {
+        (self.pose(block), &self.half_extents[block.get()])
+    }
+
     pub(super) fn is_held(&self, block: BlockIdx) -> bool {
         self.held.contains(&Some(block))
     }

@@ -1,25 +1,23 @@
 //! Evaluations of untrained weights in real worlds.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use blueprints::{Catalog, Split};
 use environment::EnvironmentConfig;
-use policy::{DeviceKind, EncoderConfig, GatConfig, Network, NetworkConfig, PolicyConfig, PolicyError};
-use proto::{ActionMode, Normalization, Valid, WeightsVersion};
+use policy::{PolicyConfig, PolicyError};
+use proto::{ActionMode, Valid, WeightsVersion};
 
 use super::*;
-use crate::config::Starts;
+use crate::config::{EpisodeConfig, Starts};
 use crate::setup::N_WORLDS;
 use crate::videos::EpisodeSelector;
 
-/// A network small enough for tests.
-pub(crate) fn small_policy() -> Valid<PolicyConfig> {
-    let encoder =
-        EncoderConfig::Gat(GatConfig { n_layers: 1, n_heads: 1, head_dim: 4, mlp_hidden: 8, ..Default::default() });
-    let network = NetworkConfig { encoder, width: 8, value_hidden: vec![8], ..Default::default() };
-    Valid::new(PolicyConfig { network, ..Default::default() }).unwrap()
-}
+#[path = "../../../policy/tests/samples/untrained.rs"]
+mod untrained;
+
+pub(crate) use untrained::{small_policy, weights};
 
 /// A setup with short episodes.
 pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
@@ -33,23 +31,10 @@ pub(crate) fn small_setup(episodes: EpisodeConfig) -> EvalSetup<'static> {
     }
 }
 
-pub(crate) fn weights() -> Weights {
-    let config = small_policy();
-    let network = Network::init(&config.network, &config.sizes(), 1, &DeviceKind::Cpu.open().unwrap());
-    Weights {
-        version: WeightsVersion(2),
-        n_env_steps: 77,
-        network_hash: config.hash(),
-        settings: Default::default(),
-        parameters: policy::parameters::flatten(&network),
-        normalization: Normalization { value_std: 1.0, ..Normalization::default() },
-        task_probabilities: [(blueprints(1)[0].id().clone(), 1.0)].into(),
-    }
-}
-
-/// Returns a policy with the weights of [`weights`].
-pub(crate) fn agent() -> Result<Policy, EvalError> {
-    Ok(Policy::with_weights(&small_policy(), &weights())?)
+/// Returns the small policy with the weights of [`weights`].
+pub(crate) fn performer() -> Performer<'static> {
+    static POLICY: LazyLock<(Valid<PolicyConfig>, Weights)> = LazyLock::new(|| (small_policy(), weights()));
+    Performer::Policy(&POLICY.0, &POLICY.1)
 }
 
 fn blueprints(n: usize) -> Vec<&'static Blueprint> {
@@ -78,8 +63,9 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
     let observer = None::<&EpisodeSelector>;
-    let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
-    let whole = evaluate_in_parts(&pool, Some(&weights()), &blueprints, &mut |part| parts.push(part)).unwrap();
+    let performer = performer();
+    let pool = EvaluationPool { setup: &setup, performer, observer, progress: None, keep_going: &|| true };
+    let whole = evaluate_in_parts(&pool, &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.greedy.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
     assert_eq!((n_episodes(&whole), whole.summary.n_planned, whole.summary.is_complete), (124, 124, true));
@@ -118,10 +104,9 @@ fn what_an_interrupted_evaluation_found_is_reported() {
         on_episode: &|_| {
             n_ended.fetch_add(1, Ordering::Relaxed);
         },
+        endings: None,
     };
-    let (policy, weights) = (small_policy(), weights());
-    let performer = Performer::Policy(&policy, &weights);
-    let report = evaluate_followed(&setup, performer, &blueprints(1), &follower, None).unwrap();
+    let report = evaluate_followed(&setup, performer(), &blueprints(1), &follower).unwrap();
     let summary = &report.summary;
     assert_eq!((summary.is_complete, summary.n_planned, summary.all.greedy.success.n_episodes), (false, 3, 2));
 }
@@ -174,7 +159,7 @@ fn reset_free_runs_count_every_goal() {
 }
 
 fn of_expert(setup: &EvalSetup<'_>, blueprints: &[&Blueprint]) -> EvalReport {
-    evaluate_followed(setup, Performer::Expert, blueprints, &Follower::default(), None).unwrap()
+    evaluate_followed(setup, Performer::Expert, blueprints, &Follower::default()).unwrap()
 }
 
 /// A setup with episodes of full length, for the expert.
@@ -192,6 +177,7 @@ fn the_expert_builds_a_sample_of_the_catalog() {
     assert_eq!((all.n_blueprints, all.greedy.success.n_episodes), (sample.len() as u64, 5 * sample.len() as u64));
     assert_eq!(all.sampled.success.n_episodes, 0, "the expert acts in one way");
     assert!(all.greedy.success.rate >= 0.9, "{:?}", report.blueprints);
+    assert!(all.greedy.stable_success.rate >= 0.8, "{:?}", report.blueprints);
     assert!(report.blueprints.iter().all(|goal| goal.greedy.success.n_successes > 0), "{:?}", report.blueprints);
 }
 

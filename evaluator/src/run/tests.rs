@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use blueprints::{Catalog, Split};
 use proto::metrics::EvalSummary;
-use proto::{ActionMode, Valid};
+use proto::{ActionMode, Valid, WeightsVersion};
 use tokio::task::JoinHandle;
 
 use super::*;
@@ -29,7 +29,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     let config = EvaluatorConfig { every: Every::Versions(2), selection, episodes, ..Default::default() };
     let setup = setup(config, Some(records.clone()));
     let (reports, mut seen) = watch::channel(None);
-    let listeners = Listeners { reports: Some(reports), ..Default::default() };
+    let listeners = Listeners { reports, ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
     let service = start(setup, &bus, listeners, &stop);
@@ -64,7 +64,7 @@ async fn reports_reach_the_bus_the_files_and_the_caller() {
     // Not due, but the last weights.
     let last = WeightsVersion(untrained.version.0 + 3);
     tell.send_replace(Some(Arc::new(Weights { version: last, ..untrained.clone() })));
-    assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 3 });
+    assert_eq!(within(service).await.unwrap().unwrap(), 3);
     assert_eq!(seen.borrow().as_ref().unwrap().summary.weights_version, last);
 
     let text = std::fs::read_to_string(records.metrics()).unwrap();
@@ -99,7 +99,7 @@ async fn the_first_numbers_of_an_evaluation_are_told_before_it_ends() {
     let mut summaries = bus.metrics_subscriber(keys::METRICS_EVAL_SUMMARY).await.unwrap();
     let (reports, seen) = watch::channel(None);
     let (so_far, counted) = watch::channel(None);
-    let listeners = Listeners { reports: Some(reports), progress: Some(so_far), ..Default::default() };
+    let listeners = Listeners { reports, progress: so_far, ..Default::default() };
     let stop = Stop::default();
     let service = start(setup, &bus, listeners, &stop);
     let publisher = bus.weights_publisher().await.unwrap();
@@ -133,7 +133,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     let setup = setup(config, None);
     let (reports, mut seen) = watch::channel(None);
     let (evaluated, mut verdicts) = mpsc::unbounded_channel();
-    let listeners = Listeners { reports: Some(reports), evaluated: Some(evaluated), ..Default::default() };
+    let listeners = Listeners { reports, evaluated, ..Default::default() };
     let (tell, last) = watch::channel(None);
     let stop = Stop { last: Some(last), ..Stop::default() };
     let service = start(setup, &bus, listeners, &stop);
@@ -147,7 +147,7 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
     assert_eq!(ids(&report), ["2_000"]);
     // Already evaluated, but not on the last splits.
     tell.send_replace(Some(Arc::new(untrained.clone())));
-    assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 2 });
+    assert_eq!(within(service).await.unwrap().unwrap(), 2);
     let report = seen.borrow().clone().unwrap();
     assert_eq!(ids(&report), ["2_000", "validation_7_000"]);
     assert_eq!(report.summary.groups.last().unwrap().name, "validation");
@@ -167,7 +167,7 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let setup = one_goal(400, None);
     let (reports, seen) = watch::channel(None);
     let (progress, mut counted) = watch::channel(None);
-    let listeners = Listeners { reports: Some(reports), progress: Some(progress), ..Default::default() };
+    let listeners = Listeners { reports, progress, ..Default::default() };
     let stop = Stop::default();
     let service = start(setup, &bus, listeners, &stop);
     let publisher = bus.weights_publisher().await.unwrap();
@@ -176,7 +176,7 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let some = within(counted.wait_for(|progress| progress.is_some_and(|progress| progress.n_ended > 0)));
     let n_ended = some.await.unwrap().unwrap().n_ended;
     stop.now.cancel();
-    assert_eq!(within(service).await.unwrap().unwrap(), Summary { n_evaluations: 0 });
+    assert_eq!(within(service).await.unwrap().unwrap(), 0);
     let report = seen.borrow().clone().unwrap();
     assert!(!report.summary.is_complete);
     assert_eq!(report.summary.n_planned, 400);
@@ -241,11 +241,42 @@ async fn weights_that_an_earlier_evaluator_of_the_run_evaluated_are_not_evaluate
         let stop = Stop { last: Some(last), ..Stop::default() };
         let mut setup = one_goal(n_episodes, Some(records.clone()));
         setup.config = setup.config.with(|config| config.reset_free = reset_free).unwrap();
-        let summary = within(run(setup, &bus, Listeners::default(), stop)).await.unwrap();
-        assert_eq!(summary, Summary { n_evaluations: expected }, "case {k}");
+        let n_evaluations = within(run(setup, &bus, Listeners::default(), stop)).await.unwrap();
+        assert_eq!(n_evaluations, expected, "case {k}");
         bus.close().await;
     }
     assert_eq!(History::read(&records.history()).unwrap().len(), 4);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_newest_weights_are_evaluated_once_the_learner_is_gone() {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let mut setup = one_goal(1, None);
+    let rare = |config: &mut EvaluatorConfig| (config.every, config.evaluate_last) = (Every::Versions(1000), true);
+    setup.config = setup.config.with(rare).unwrap();
+    let (reports, mut seen) = watch::channel(None);
+    let (usable, mut arrived) = watch::channel(None);
+    let listeners = Listeners { reports, weights: usable, ..Default::default() };
+    let stop = Stop::default();
+    let service = start(setup, &bus, listeners, &stop);
+    // Each learner is gone before an evaluation is due.
+    for version in [1, 2].map(WeightsVersion) {
+        let publisher = bus.weights_publisher().await.unwrap();
+        publisher.publish(Arc::new(Weights { version, n_env_steps: version.0, ..weights() })).await.unwrap();
+        let is_there = |newest: &Option<Arc<Weights>>| newest.as_ref().is_some_and(|newest| newest.version == version);
+        within(arrived.wait_for(is_there)).await.unwrap();
+        assert!(seen.borrow().as_ref().is_none_or(|report: &Arc<EvalReport>| report.summary.weights_version < version));
+        drop(publisher);
+        let is_evaluated = |report: &Option<Arc<EvalReport>>| {
+            report.as_ref().is_some_and(|report| report.summary.weights_version == version)
+        };
+        within(seen.wait_for(is_evaluated)).await.unwrap();
+    }
+    stop.now.cancel();
+    // Neither was evaluated twice.
+    assert_eq!(within(service).await.unwrap().unwrap(), 2);
+    bus.close().await;
 }
 
 /// A setup with `n_episodes` greedy episodes of one goal.
@@ -268,7 +299,7 @@ fn setup(config: EvaluatorConfig, records: Option<RunPaths>) -> EvaluatorSetup {
     }
 }
 
-fn start(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: &Stop) -> JoinHandle<anyhow::Result<Summary>> {
+fn start(setup: EvaluatorSetup, bus: &Bus, listeners: Listeners, stop: &Stop) -> JoinHandle<anyhow::Result<u64>> {
     let (bus, stop) = (bus.clone(), stop.clone());
     tokio::spawn(async move { run(setup, &bus, listeners, stop).await })
 }

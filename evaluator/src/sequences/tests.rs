@@ -1,75 +1,23 @@
 //! Sequences of toy worlds whose endings are scripted.
 
 use policy::Policy;
-use proto::{Gripper, Pose, Valid};
+use proto::Valid;
 
 use super::*;
 use crate::videos::EpisodeSelector;
 
-/// A world in which nothing moves and a script determines how each step ends.
-#[derive(Clone)]
-struct Toy {
-    ends: Vec<Status>,
-    n_steps: usize,
-    n_idle_steps: usize,
-    diverged: bool,
-    scene: Scene,
-    blueprint: Blueprint,
-}
+#[path = "../../../environment/tests/toy/mod.rs"]
+mod toy;
 
-impl Env for Toy {
-    fn reset(&mut self, task: &Task, _: &Catalog) -> Result<(), ResetError> {
-        if task.start == Start::AsItIs && self.diverged {
-            return Err(ResetError::NothingToKeep);
-        }
-        assert_eq!(self.n_idle_steps, 0, "nothing is let go between goals");
-        self.diverged = false;
-        Ok(())
-    }
-
-    fn step(&mut self, action: &Action) -> StepResult {
-        // Idle steps, which test whether a success is stable, do not count as steps of an episode.
-        if action.moves == [[0.0; 6]; blueprints::N_BLOCKS] {
-            self.n_idle_steps += 1;
-            return StepResult { reward: RewardTerms::default(), status: Status::Running };
-        }
-        let status = self.ends[self.n_steps % self.ends.len()];
-        self.n_steps += 1;
-        self.diverged = status == Status::Diverged;
-        StepResult { reward: RewardTerms { wrong: -1.0, ..RewardTerms::default() }, status }
-    }
-
-    fn scene(&self) -> &Scene {
-        &self.scene
-    }
-
-    fn blueprint(&self) -> &Blueprint {
-        &self.blueprint
-    }
-}
+use toy::Toy;
+pub(crate) use toy::scene;
 
 fn goal() -> &'static Blueprint {
     Catalog::builtin().of_split(Split::Train)[0]
 }
 
-/// Returns a scene with the blocks in a row, one meter apart.
-pub(crate) fn scene() -> Scene {
-    let orientation = [0.0, 0.0, 0.0, 1.0];
-    Scene {
-        blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation }),
-        speeds_mps: [0.0; blueprints::N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE), Some(Gripper::IDLE)],
-        n_heavy_contacts: 0,
-    }
-}
-
-fn toy(ends: &[Status]) -> Toy {
-    Toy { ends: ends.to_vec(), n_steps: 0, n_idle_steps: 0, diverged: false, scene: scene(), blueprint: goal().clone() }
-}
-
 fn run(worlds: Vec<Toy>, sequences: &[Vec<EpisodeSpec>]) -> Vec<Vec<EpisodeResult>> {
-    let mut policy = Policy::new(&Valid::default());
+    let mut agent = PerformerAgent::Policy(Box::new(Policy::new(&Valid::default())));
     let rules: Rules<'_, EpisodeSelector> = Rules {
         catalog: Catalog::builtin(),
         acting: ActionMode::Sampled,
@@ -80,7 +28,7 @@ fn run(worlds: Vec<Toy>, sequences: &[Vec<EpisodeSpec>]) -> Vec<Vec<EpisodeResul
     let mut waiting = sequences.iter().map(Vec::as_slice).enumerate();
     let mut all = vec![Vec::new(); sequences.len()];
     let done = |sequence_idx: usize, results| all[sequence_idx] = results;
-    run_sequences(&rules, &mut policy, worlds, || waiting.next(), done).unwrap();
+    run_sequences(&rules, &mut agent, worlds, || waiting.next(), done).unwrap();
     all
 }
 
@@ -91,7 +39,7 @@ fn sequence(starts: &[Start]) -> Vec<EpisodeSpec> {
 #[test]
 fn worlds_share_more_sequences_than_there_are_worlds() {
     use Status::{Running, Success, TimeLimit};
-    let worlds = vec![toy(&[Success]), toy(&[Running, Running, TimeLimit])];
+    let worlds = vec![Toy::new(&[Success]), Toy::new(&[Running, Running, TimeLimit])];
     let sequences = vec![sequence(&[Start::Scattered]); 5];
     let results = run(worlds, &sequences);
     let steps: Vec<u32> = results.iter().map(|sequence| sequence[0].n_steps).collect();
@@ -99,14 +47,14 @@ fn worlds_share_more_sequences_than_there_are_worlds() {
     assert_eq!(steps, [1, 3, 1, 1, 1]);
     // Nothing is connected in the toy's scene, so its success proves unstable.
     assert_eq!(results[0][0].end, End::Success { stable: false });
-    assert_eq!((results[1][0].end, results[1][0].episode_return.wrong), (End::TimeLimit, -3.0));
+    assert_eq!((results[1][0].end, results[1][0].episode_return.connected), (End::TimeLimit, 6.0));
 }
 
 #[test]
 fn a_sequence_keeps_its_world_until_that_diverges() {
     use Status::{Diverged, Success, TimeLimit};
     let sequences = [sequence(&[Start::Scattered, Start::AsItIs, Start::AsItIs, Start::AsItIs])];
-    let results = run(vec![toy(&[Success, TimeLimit, Diverged, Success])], &sequences);
+    let results = run(vec![Toy::new(&[Success, TimeLimit, Diverged, Success])], &sequences);
     let ends: Vec<(End, bool)> = results[0].iter().map(|result| (result.end, result.forced_reset)).collect();
     let success = End::Success { stable: false };
     assert_eq!(ends, [(success, false), (End::TimeLimit, false), (End::Diverged, false), (success, true)]);

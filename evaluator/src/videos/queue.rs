@@ -14,12 +14,9 @@ pub(super) const ROOM: usize = 32;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct VideoRequest {
     pub(super) trajectory: Trajectory,
-    pub(super) n_env_steps: u64,
     pub(super) ending: Ending,
     /// Number among the evaluation's requests of the same blueprint and ending, from 1.
     pub(super) number: u32,
-    /// TensorBoard tags.
-    pub(super) tags: Vec<String>,
 }
 
 /// A bounded queue of requests to be rendered.
@@ -39,7 +36,7 @@ struct State {
 
 /// Result of processing a request.
 pub(super) enum Made {
-    Video { is_oversized: bool },
+    Video,
     RecordingOnly,
 }
 
@@ -80,10 +77,7 @@ impl ClipQueue {
         let mut state = self.state.lock();
         let counts = &mut state.counts;
         match made {
-            Ok(Made::Video { is_oversized }) => {
-                counts.written_total += 1;
-                counts.oversized_total += u64::from(is_oversized);
-            }
+            Ok(Made::Video) => counts.written_total += 1,
             Ok(Made::RecordingOnly) => counts.dropped_total += 1,
             Err(error) => {
                 counts.failed_total += 1;

@@ -12,7 +12,7 @@ use super::queue::{ClipQueue, VideoRequest};
 use crate::config::VideosConfig;
 use crate::recording::{Credits, Recording};
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+use crate::sequences::{EpisodeObserver, EpisodeSpec};
 use runlog::videos::Ending;
 
 /// Maximum number of episodes recorded at a time. At a kilobyte per step, this takes some tens of megabytes.
@@ -58,13 +58,12 @@ impl EpisodeSelector {
 impl EpisodeObserver for EpisodeSelector {
     type Record = Recording;
 
-    fn begin(&self, _: Place, spec: &EpisodeSpec, acting: ActionMode, _: Observation<'_>) -> Option<Recording> {
+    fn begin(&self, _: usize, spec: &EpisodeSpec, acting: ActionMode, _: Observation<'_>) -> Option<Recording> {
         if acting != self.acting {
             return None;
         }
         let mut open = self.open.lock();
-        let is_wanted = |subject: &Subject| Ending::ALL.iter().any(|ending| open.lacks(subject, *ending));
-        if !subjects(spec).any(|subject| is_wanted(&subject)) {
+        if !subjects(spec).any(|subject| Ending::ALL.iter().any(|&ending| open.lacks(&subject, ending))) {
             return None;
         }
         if open.n_recording >= MAX_RECORDING {
@@ -92,36 +91,19 @@ impl EpisodeObserver for EpisodeSelector {
         }
         let credits = Credits::of_policy("evaluator", result.acting, self.weights.version);
         let task = &spec.task;
-        let Some(trajectory) = recording.into_trajectory(credits, task, last, result) else { return };
-        let tags = wanted.iter().map(|subject| format!("{}/{}", subject.tag(), ending.name())).collect();
+        let trajectory = recording.into_trajectory(credits, task, last, result);
         for subject in wanted {
             open.missing.remove(&(subject, ending));
         }
         let number = open.n_taken.entry((task.blueprint.clone(), ending)).or_insert(0);
         *number += 1;
-        self.queue.offer(VideoRequest {
-            trajectory,
-            n_env_steps: self.weights.n_env_steps,
-            ending,
-            number: *number,
-            tags,
-        });
+        self.queue.offer(VideoRequest { trajectory, ending, number: *number });
     }
 }
 
 impl Open {
     fn lacks(&self, subject: &Subject, ending: Ending) -> bool {
         self.missing.contains(&(subject.clone(), ending))
-    }
-}
-
-impl Subject {
-    /// Returns the name under which videos of different evaluations are shown together.
-    fn tag(&self) -> String {
-        match self {
-            Self::Group(group) => group.name().replace(' ', "-"),
-            Self::Blueprint(id) => id.to_string(),
-        }
     }
 }
 

@@ -13,15 +13,15 @@ use runlog::RunPaths;
 
 use super::VideoRecorder;
 use super::queue::{ClipQueue, ROOM};
-use super::recorder::Reel;
 use super::selector::EpisodeSelector;
 use crate::config::{EpisodeConfig, VideosConfig};
 use crate::episodes::evaluate_in_parts;
-use crate::episodes::tests::{agent, small_setup, weights};
+use crate::episodes::tests::{performer, small_setup, weights};
 use crate::pool::EvaluationPool;
 use crate::report::End;
+use crate::report::tests::episode;
 use crate::sequences::tests::scene;
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Place};
+use crate::sequences::{EpisodeObserver, EpisodeSpec};
 
 fn blueprint() -> &'static Blueprint {
     Catalog::builtin().of_split(Split::Train)[0]
@@ -45,8 +45,9 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let selector = recorder.selector(&weights, &setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
     let evaluate = |observer: Option<&EpisodeSelector>| {
-        let pool = EvaluationPool { setup: &setup, agent: &agent, observer, progress: None, keep_going: &|| true };
-        evaluate_in_parts(&pool, Some(&weights), &goals, &mut |_| {}).unwrap()
+        let performer = performer();
+        let pool = EvaluationPool { setup: &setup, performer, observer, progress: None, keep_going: &|| true };
+        evaluate_in_parts(&pool, &goals, &mut |_| {}).unwrap()
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));
     let written = recorder.queue.wait_until(|counts| counts.written_total + counts.failed_total > 0);
@@ -61,7 +62,6 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let segment = decode_recording(&fs::read(replay).unwrap()).unwrap();
     assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights.version));
     render::video::Episode::new(&[segment], goal).unwrap();
-    assert_eq!(names(&dir.path().join("tb/evaluator/videos")).len(), 1);
 }
 
 /// Plays an episode of one step with this end; returns whether it was recorded.
@@ -69,12 +69,11 @@ fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
     let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
     let scene = scene();
     let seen = Observation { scene: &scene, blueprint: blueprint() };
-    let place = Place { sequence_idx: 0, episode_idx: 0 };
-    let Some(mut recording) = selector.begin(place, &spec, acting, seen) else { return false };
+    let Some(mut recording) = selector.begin(0, &spec, acting, seen) else { return false };
     let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
     let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
     selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, seen);
-    selector.end(recording, &spec, &scene, &spec.result(acting, end, 1, RewardTerms::default(), false));
+    selector.end(recording, &spec, &scene, &episode(blueprint().id().as_str(), acting, end, 1));
     true
 }
 
@@ -109,38 +108,6 @@ fn a_full_queue_drops_and_counts_and_nobody_waits() {
     }
     let expected = VideoCounts { n_waiting: ROOM as u64, dropped_total: 3, ..VideoCounts::default() };
     assert_eq!(queue.counts(), expected);
-}
-
-#[test]
-fn restarts_leave_no_more_than_two_files_for_tensorboard() {
-    let dir = tempfile::tempdir().unwrap();
-    let folder = dir.path().join("videos");
-    let [oldest, older, newest] = [
-        "events.out.tfevents.1000000000.900000.12",
-        "events.out.tfevents.1000000001.000000.9",
-        "events.out.tfevents.1000000001.500000.10",
-    ];
-    let others = ["events.out.tfevents.1000000000.host.7.v2", "notes.txt"];
-    fs::create_dir_all(folder.join("events.out.tfevents.1000000000.000000.1")).unwrap();
-    for name in [newest, oldest, older].iter().chain(&others) {
-        fs::write(folder.join(name), "").unwrap();
-    }
-    let is_there = |name: &&str| folder.join(name).is_file();
-    let mut reel = Reel::create(dir.path(), 1).unwrap();
-    assert_eq!([oldest, older, newest].map(|name| is_there(&name)), [false, false, true]);
-    // The new file, the newest of the earlier ones, and what is not an event file of ours.
-    assert_eq!(names(&folder).len(), 2 + 3);
-
-    let queue = Arc::new(ClipQueue::default());
-    assert!(play(&selector(&VideosConfig::default(), &queue), ActionMode::Greedy, End::TimeLimit));
-    let request = queue.next().unwrap();
-    // Half of the megabyte holds one of these videos, so the second goes to another file.
-    let video = vec![0; 300_000];
-    reel.add(&request, &video).unwrap();
-    assert!(is_there(&newest));
-    reel.add(&request, &video).unwrap();
-    assert!(!is_there(&newest) && others.iter().all(is_there));
-    assert_eq!(names(&folder).len(), 2 + 3);
 }
 
 #[test]

@@ -40,7 +40,7 @@ pub(super) struct Recording {
 pub(super) fn record(config: &Valid<Config>, folder: &Path) -> anyhow::Result<Recording> {
     let weights = Learner::new(learner_setup(config, None, Catalog::builtin())?)?.weights();
     let id = ActorId::try_from(NAME.to_owned()).context("naming a simulated actor")?;
-    let mut setup = actor_setup(config, id);
+    let mut setup = actor_setup(config, id, Catalog::builtin());
     setup.config = setup.config.with(|actor| {
         actor.n_worlds = N_WORLDS;
         actor.n_threads = 1;

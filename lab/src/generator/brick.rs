@@ -101,7 +101,7 @@ pub(super) fn placements(bricks: &[Brick], rotations: &[CubeRotation]) -> Vec<Pl
     let inventory = Inventory::standard();
     let mut sorted: Vec<(&Brick, CubeRotation)> = bricks.iter().zip(rotations.iter().copied()).collect();
     sorted.sort_by_key(|(b, _)| (b.type_idx, b.low[2], b.low[1], b.low[0]));
-    let mut left: Vec<_> = inventory.types().iter().map(|t| inventory.blocks_of_type(&t.name).into_iter()).collect();
+    let mut left: Vec<_> = inventory.types().iter().map(|t| inventory.blocks_of_type(t.name).into_iter()).collect();
     let place = |(brick, rotation): (&Brick, CubeRotation)| {
         let block = left[brick.type_idx].next().expect("the stock has no more blocks than the inventory");
         let center_half_units = std::array::from_fn(|k| 2 * brick.low[k] + brick.size[k]);

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::format::{CheckpointError, damaged, io};
+use super::error::{CheckpointError, damaged, io};
 
 /// Prefix of a checkpoint's folder name; its number of environment steps follows.
 pub(super) const STEP: &str = "step-";
@@ -123,12 +123,8 @@ fn names(dir: &Path) -> Result<Vec<(String, PathBuf)>, CheckpointError> {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(io("listing", dir))?,
     };
-    let mut names = Vec::new();
-    for entry in entries {
-        let entry = entry.map_err(io("listing", dir))?;
-        names.push((entry.file_name().to_string_lossy().into_owned(), entry.path()));
-    }
-    Ok(names)
+    let named = |entry: fs::DirEntry| (entry.file_name().to_string_lossy().into_owned(), entry.path());
+    entries.map(|entry| entry.map(named).map_err(io("listing", dir))).collect()
 }
 
 /// Returns the FNV-1a hash as 16 hexadecimal digits.

@@ -102,19 +102,16 @@ impl Passes {
     pub(super) fn evaluate(&mut self, batch: &Batch, rows: &[usize]) -> Evaluation {
         let outputs = self.engine.run(&batch.features, rows);
         // Samples come first in a batch, so the samples in `rows` are a prefix.
-        let n_samples = rows.partition_point(|&row| row < batch.n_samples());
-        let (log_probs, entropies) = if n_samples == 0 {
-            Default::default()
-        } else {
-            match &batch.draws {
-                Some(draws) => self.evaluate_draws(batch, draws, &rows[..n_samples], &outputs),
-                None => {
-                    let actions = self.actions(batch, &rows[..n_samples], &self.device);
-                    let n_grippers = usize::from(self.policy.features.n_grippers);
-                    let mut output = head_of(&outputs.to_tensors(n_grippers, &self.device), n_samples);
-                    self.mask(&mut output, &batch.features, &rows[..n_samples]);
-                    (to_vec(loss_terms::log_prob(&output, &actions)), Vec::new())
-                }
+        let samples = &rows[..rows.partition_point(|&row| row < batch.n_samples())];
+        let (log_probs, entropies) = match &batch.draws {
+            _ if samples.is_empty() => Default::default(),
+            Some(draws) => self.evaluate_draws(batch, draws, samples, &outputs),
+            None => {
+                let actions = self.actions(batch, samples, &self.device);
+                let n_grippers = usize::from(self.policy.features.n_grippers);
+                let mut output = head_of(&outputs.to_tensors(n_grippers, &self.device), samples.len());
+                self.mask(&mut output, &batch.features, samples);
+                (to_vec(loss_terms::log_prob(&output, &actions)), Vec::new())
             }
         };
         Evaluation { values: outputs.values, log_probs, entropies }
@@ -204,10 +201,7 @@ impl Passes {
 fn head_of(output: &NetworkOutput, n: usize) -> NetworkOutput {
     let rows = |tensor: &Tensor<3>| tensor.clone().narrow(0, 0, n);
     NetworkOutput {
-        moves: output
-            .moves
-            .as_ref()
-            .map(|MoveTensors { locs, scales }| MoveTensors { locs: rows(locs), scales: rows(scales) }),
+        moves: output.moves.as_ref().map(|moves| MoveTensors { locs: rows(&moves.locs), scales: rows(&moves.scales) }),
         logits: rows(&output.logits),
         values: output.values.clone().narrow(0, 0, n),
         readouts: None,

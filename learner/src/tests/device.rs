@@ -4,23 +4,15 @@ use policy::{DeviceError, DeviceKind, MoveHead, NetworkConfig};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::learning::{bandit, feed, small_setup};
-use crate::config::{FixedRate, LrSchedule};
+use super::learning::{bandit, learn, small_setup};
 use crate::{Learner, LearnerError, LearnerSetup};
 
 /// The paper's network, and one gradient step per update.
 fn setup(move_head: MoveHead) -> LearnerSetup {
-    let mut setup = small_setup(1);
-    setup.policy = setup.policy.with(|c| c.network = NetworkConfig { move_head, ..Default::default() }).unwrap();
-    setup.config = setup
-        .config
-        .with(|c| {
-            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-            c.n_epochs = 1;
-            c.minibatch_size = 256;
-        })
-        .unwrap();
-    setup
+    small_setup(1)
+        .with_policy(|c| c.network = NetworkConfig { move_head, ..Default::default() })
+        .with(|c| (c.n_epochs, c.minibatch_size) = (1, 256))
+        .at_rate(3e-4)
 }
 
 /// Without the cargo feature, a GPU is refused, and the rest is compiled all the same.
@@ -40,8 +32,7 @@ fn an_update_on_a_gpu_equals_one_on_a_cpu() {
         let [cpu, gpu] = [DeviceKind::Cpu, DeviceKind::Gpu].map(|device| {
             let mut learner = Learner::new(LearnerSetup { device, ..setup.clone() }).unwrap();
             let before = learner.weights().parameters;
-            feed(&learner, trajectories.clone());
-            let metrics = learner.update_from_mailbox().unwrap().metrics.ppo;
+            let metrics = learn(&mut learner, trajectories.clone()).metrics.ppo;
             (metrics, before, learner.weights().parameters)
         });
         assert_eq!(cpu.1, gpu.1, "the same initial parameters");

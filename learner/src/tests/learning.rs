@@ -34,6 +34,26 @@ pub(crate) fn small_setup(seed: u64) -> LearnerSetup {
     }
 }
 
+impl LearnerSetup {
+    /// Changes settings of the learner.
+    pub(crate) fn with(self, change: impl FnOnce(&mut LearnerConfig)) -> Self {
+        Self { config: self.config.with(change).unwrap(), ..self }
+    }
+
+    /// Changes settings of the policy.
+    pub(crate) fn with_policy(self, change: impl FnOnce(&mut PolicyConfig)) -> Self {
+        Self { policy: self.policy.with(change).unwrap(), ..self }
+    }
+
+    /// Sets a constant learning rate.
+    pub(super) fn at_rate(self, learning_rate: f32) -> Self {
+        self.with(|c| {
+            c.optimizer.learning_rate = learning_rate;
+            c.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
+        })
+    }
+}
+
 /// Returns one-step episodes in random scenes with actions from `weights`; the reward is 1 if gripper 0 chooses a goal
 /// block.
 pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mut ChaCha8Rng) -> Vec<Trajectory> {
@@ -61,38 +81,33 @@ pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     trajectories
 }
 
-/// Learns at a constant rate.
-pub(super) fn fix_rate(setup: &mut LearnerSetup, learning_rate: f32) {
-    let fixed = |config: &mut LearnerConfig| {
-        config.optimizer.learning_rate = learning_rate;
-        config.optimizer.lr_schedule = LrSchedule::Fixed(FixedRate {});
-    };
-    setup.config = setup.config.with(fixed).unwrap();
+pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
+    trajectories.into_iter().for_each(|t| learner.mailbox.push_beyond_capacity(t).unwrap());
 }
 
-pub(super) fn feed(learner: &Learner, trajectories: Vec<Trajectory>) {
-    trajectories.into_iter().for_each(|t| learner.ingest(t).unwrap());
+/// Feeds a learner, and returns its next update.
+pub(super) fn learn(learner: &mut Learner, trajectories: Vec<Trajectory>) -> UpdateResult {
+    feed(learner, trajectories);
+    learner.update_from_mailbox().unwrap()
 }
 
 /// Returns a learner after one update on `n` episodes.
 fn updated(setup: &LearnerSetup, n: usize) -> Learner {
     let mut learner = Learner::new(setup.clone()).unwrap();
-    feed(&learner, bandit(setup, &learner.weights(), n, &mut ChaCha8Rng::seed_from_u64(3)));
-    learner.update_from_mailbox().unwrap();
+    let trajectories = bandit(setup, &learner.weights(), n, &mut ChaCha8Rng::seed_from_u64(3));
+    learn(&mut learner, trajectories);
     learner
 }
 
 #[test]
 fn rewarded_choice_becomes_more_likely() {
-    let mut setup = small_setup(1);
-    fix_rate(&mut setup, 3e-3);
+    let setup = small_setup(1).at_rate(3e-3);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let mut rates = Vec::new();
     for _ in 0..12 {
         let trajectories = bandit(&setup, &learner.weights(), 256, &mut rng);
-        feed(&learner, trajectories);
-        let metrics = learner.update_from_mailbox().unwrap().metrics;
+        let metrics = learn(&mut learner, trajectories).metrics;
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
         rates.push(metrics.episodes.success.rate);
     }
@@ -106,12 +121,12 @@ fn update_needs_a_full_batch() {
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     feed(&learner, bandit(&setup, &learner.weights(), 255, &mut rng));
-    assert!(!learner.ready() && learner.update_from_mailbox().is_none());
-    feed(&learner, bandit(&setup, &learner.weights(), 1, &mut rng));
-    assert!(learner.ready());
-    let metrics = learner.update_from_mailbox().unwrap().metrics;
+    assert!(learner.update_from_mailbox().is_none());
+    let last = bandit(&setup, &learner.weights(), 1, &mut rng);
+    let metrics = learn(&mut learner, last).metrics;
     assert_eq!((metrics.n_env_steps, metrics.n_updates, metrics.n_episodes), (256, 1, 256));
     assert_eq!(metrics.ppo.n_gradient_steps, 12);
+    assert_eq!(metrics.proposals, None, "the Gaussian head has none");
     assert_eq!(learner.weights().version, metrics.weights_version);
 }
 
@@ -125,14 +140,10 @@ fn weights_depend_on_the_seed_alone() {
 #[test]
 fn weights_are_independent_of_the_number_of_threads() {
     let weights = |n_threads| {
-        let mut setup = small_setup(1);
         // Four pieces per minibatch, which three threads cannot share evenly.
-        setup.config = setup
-            .config
-            .with(|c| {
-                (c.batch_size, c.minibatch_size, c.n_threads) = (4 * PIECE_SIZE, 4 * PIECE_SIZE, Some(n_threads));
-            })
-            .unwrap();
+        let setup = small_setup(1).with(|c| {
+            (c.batch_size, c.minibatch_size, c.n_threads) = (4 * PIECE_SIZE, 4 * PIECE_SIZE, Some(n_threads));
+        });
         updated(&setup, 4 * PIECE_SIZE).weights()
     };
     assert_eq!(weights(1), weights(3));
@@ -140,16 +151,14 @@ fn weights_are_independent_of_the_number_of_threads() {
 
 #[test]
 fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
-    let mut setup = small_setup(1);
-    fix_rate(&mut setup, 3e-3);
+    let setup = small_setup(1).at_rate(3e-3);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let first = learner.weights();
-    feed(&learner, bandit(&setup, &first, 256, &mut rng));
-    learner.update_from_mailbox().unwrap();
+    learn(&mut learner, bandit(&setup, &first, 256, &mut rng));
     feed(&learner, bandit(&setup, &first, 128, &mut rng));
-    feed(&learner, bandit(&setup, &learner.weights(), 128, &mut rng));
-    let metrics = learner.update_from_mailbox().unwrap().metrics;
+    let newer = bandit(&setup, &learner.weights(), 128, &mut rng);
+    let metrics = learn(&mut learner, newer).metrics;
     assert_eq!((metrics.policy_lag_mean, metrics.policy_lag_max), (0.5, 1));
     assert_eq!(metrics.policy_lag_histogram, [128, 128]);
     assert!(metrics.ppo.effective_sample_size < 0.999, "{metrics:?}");
@@ -157,14 +166,12 @@ fn old_trajectories_raise_lag_and_lower_effective_sample_size() {
 
 #[test]
 fn gradient_step_that_is_not_finite_is_skipped() {
-    let mut setup = small_setup(1);
-    setup.config = setup.config.with(|c| c.loss.objective = Objective::Standard).unwrap();
+    let setup = small_setup(1).with(|c| c.loss.objective = Objective::Standard);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(3));
     // The lowest admitted log-density makes the ratio overflow.
     trajectories[0].transitions[0].behavior_log_prob = -2000.0;
-    feed(&learner, trajectories);
-    let metrics = learner.update_from_mailbox().unwrap().metrics;
+    let metrics = learn(&mut learner, trajectories).metrics;
     assert!(metrics.ppo.n_skipped_steps > 0);
     assert!(learner.weights().parameters.iter().all(|x| x.is_finite()));
 }
@@ -173,15 +180,14 @@ fn gradient_step_that_is_not_finite_is_skipped() {
 fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_network() {
     let learner = updated(&small_setup(1), 256);
     let model = Model::from(&learner.checkpoint());
-    let mut setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
-    setup.policy = setup.policy.with(|c| c.network.init_std = Some(0.1)).unwrap();
+    let setup = LearnerSetup { init: Some(Arc::new(model)), ..small_setup(2) };
+    let mut setup = setup.with_policy(|c| c.network.init_std = Some(0.1));
     let started = Learner::new(setup.clone()).unwrap();
     assert_eq!(started.weights().parameters, learner.weights().parameters);
     assert_eq!(started.weights().normalization, learner.weights().normalization);
     assert_eq!((started.version().0, started.n_env_steps()), (0, 0));
     assert!(started.checkpoint().adam.first.iter().all(|moment| *moment == 0.0));
-    let mut other = setup.clone();
-    other.policy = other.policy.with(|c| c.network.value_hidden = vec![16]).unwrap();
+    let other = setup.clone().with_policy(|c| c.network.value_hidden = vec![16]);
     let error = Learner::new(other).unwrap_err().to_string();
     assert!(error.contains("policy.network"), "{error}");
     let mut broken = Model::from(&learner.checkpoint());
@@ -195,14 +201,13 @@ fn a_learner_starts_from_a_policy_with_other_deviations_but_not_from_another_net
 fn an_update_that_gives_no_usable_weights_is_taken_back() {
     // The first step overflows the network's outputs, or the parameters themselves.
     for learning_rate in [1e5, 1e38] {
-        let mut setup = small_setup(1);
-        fix_rate(&mut setup, learning_rate);
+        let setup = small_setup(1).at_rate(learning_rate);
         let mut learner = Learner::new(setup.clone()).unwrap();
         let first = learner.weights();
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for n in 1..=2 {
-            feed(&learner, bandit(&setup, &learner.weights(), 256, &mut rng));
-            let UpdateResult { metrics, refused } = learner.update_from_mailbox().unwrap();
+            let trajectories = bandit(&setup, &learner.weights(), 256, &mut rng);
+            let UpdateResult { metrics, refused } = learn(&mut learner, trajectories);
             assert!(refused.is_some(), "{learning_rate}: {metrics:?}");
             assert_eq!((metrics.refused_total, metrics.n_updates, metrics.n_env_steps), (n, n, 256 * n));
             assert_eq!(metrics.ppo.total_loss, 0.0, "what was taken back has no loss");
@@ -211,19 +216,16 @@ fn an_update_that_gives_no_usable_weights_is_taken_back() {
         let checkpoint = learner.checkpoint();
         assert_eq!((checkpoint.adam.n_steps, checkpoint.state.values), (0, Default::default()));
         // With a rate that it can learn with, it goes on from there.
-        setup.config = setup.config.with(|c| c.optimizer.learning_rate = 3e-4).unwrap();
-        let mut resumed = Learner::resume(setup.clone(), checkpoint).unwrap();
-        feed(&resumed, bandit(&setup, &resumed.weights(), 256, &mut rng));
-        assert_eq!(resumed.update_from_mailbox().unwrap().refused, None);
+        let mut resumed = Learner::resume(setup.clone().at_rate(3e-4), checkpoint).unwrap();
+        let trajectories = bandit(&setup, &resumed.weights(), 256, &mut rng);
+        assert_eq!(learn(&mut resumed, trajectories).refused, None);
     }
 }
 
 #[test]
 fn an_adaptive_rate_shrinks_when_an_update_is_taken_back() {
-    let mut setup = small_setup(1);
-    setup.config = setup.config.with(|c| c.optimizer.learning_rate = 1e5).unwrap();
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
-    assert!(learner.update_from_mailbox().unwrap().refused.is_some());
+    let setup = small_setup(1).with(|c| c.optimizer.learning_rate = 1e5);
+    let learner = updated(&setup, 256);
+    assert_eq!((learner.n_refused, learner.version().0), (1, 0));
     assert_eq!(learner.checkpoint().state.learning_rate.0, 1e5_f32 / 1.5);
 }

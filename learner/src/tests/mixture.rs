@@ -1,29 +1,25 @@
 //! Updates of the mixture head.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 
 use blueprints::BlockIdx;
 use policy::MoveHead;
 use policy::proposals::{Kind, Slot};
-use proto::{ActionMode, Agent, Joint, Observation, Status};
+use proto::{Joint, Status};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::learning::{bandit, feed, fix_rate, small_setup};
+use super::learning::{bandit, learn, small_setup};
 use crate::{Learner, LearnerSetup, Model};
 
 pub(super) fn mixture_setup(seed: u64) -> LearnerSetup {
-    let mut setup = small_setup(seed);
-    setup.policy = setup.policy.with(|c| c.network.move_head = MoveHead::Mixture).unwrap();
-    setup
+    small_setup(seed).with_policy(|c| c.network.move_head = MoveHead::Mixture)
 }
 
 #[test]
 fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
-    let mut setup = mixture_setup(1);
-    fix_rate(&mut setup, 1e-2);
+    let setup = mixture_setup(1).at_rate(1e-2);
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let is_join = |slot: u8| Slot::from_index(slot).unwrap().kind() == Kind::Join;
@@ -41,8 +37,7 @@ fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
             n_joins += u32::from(joins == [true, true]);
         }
         rates.push(f64::from(n_joins) / 256.0);
-        feed(&learner, trajectories);
-        let metrics = learner.update_from_mailbox().unwrap().metrics;
+        let metrics = learn(&mut learner, trajectories).metrics;
         assert!((metrics.ppo.effective_sample_size - 1.0).abs() < 1e-3, "{metrics:?}");
     }
     assert!(rates[0] < 0.1 && rates[11] > 0.9, "{rates:?}");
@@ -50,9 +45,8 @@ fn a_rewarded_proposal_becomes_more_likely_for_both_grippers() {
 
 #[test]
 fn an_update_tells_what_was_drawn_and_what_came_of_it() {
-    let mut setup = mixture_setup(1);
     // One gradient step, whose losses are those before it.
-    setup.config = setup.config.with(|c| (c.minibatch_size, c.n_epochs) = (256, 1)).unwrap();
+    let setup = mixture_setup(1).with(|c| (c.minibatch_size, c.n_epochs) = (256, 1));
     let mut learner = Learner::new(setup.clone()).unwrap();
     let mut trajectories = bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2));
     let mut counts = BTreeMap::new();
@@ -75,8 +69,7 @@ fn an_update_tells_what_was_drawn_and_what_came_of_it() {
         }
         n_tries += n_joins;
     }
-    feed(&learner, trajectories);
-    let update = learner.update_from_mailbox().unwrap().metrics;
+    let update = learn(&mut learner, trajectories).metrics;
     let found = update.proposals.unwrap();
     let n_draws: u64 = counts.values().sum();
     assert_eq!(found.kinds.len(), 3);
@@ -94,14 +87,6 @@ fn an_update_tells_what_was_drawn_and_what_came_of_it() {
 }
 
 #[test]
-fn the_gaussian_head_draws_from_no_proposals() {
-    let setup = small_setup(1);
-    let mut learner = Learner::new(setup.clone()).unwrap();
-    feed(&learner, bandit(&setup, &learner.weights(), 256, &mut ChaCha8Rng::seed_from_u64(2)));
-    assert_eq!(learner.update_from_mailbox().unwrap().metrics.proposals, None);
-}
-
-#[test]
 fn actions_that_their_scenes_do_not_offer_are_refused_and_counted() {
     let setup = mixture_setup(1);
     let mut learner = Learner::new(setup.clone()).unwrap();
@@ -115,8 +100,7 @@ fn actions_that_their_scenes_do_not_offer_are_refused_and_counted() {
     for (trajectory, first) in trajectories.iter_mut().zip(proposals) {
         trajectory.transitions[0].proposals[0] = first;
     }
-    feed(&learner, trajectories);
-    let update = learner.update_from_mailbox().unwrap().metrics;
+    let update = learn(&mut learner, trajectories).metrics;
     assert_eq!((update.n_update_steps, update.unmade_total), (256, 2));
     assert_eq!(update.ppo.n_samples, 254);
 }
@@ -147,27 +131,9 @@ fn nobody_acts_with_a_file_whose_parameters_are_of_another_head() {
     ] {
         let mut model = Model::from(&Learner::new(theirs).unwrap().checkpoint());
         model.policy = model.policy.with(|policy| policy.network.move_head = claimed).unwrap();
-        let read = Model::from_bytes(&model.to_bytes().unwrap(), Path::new("policy.safetensors")).unwrap();
+        let read = Model::from_bytes(&model.to_bytes().unwrap()).unwrap();
         let error = policy::Policy::with_weights(&read.policy, &read.weights).unwrap_err();
         let error = format!("{error}: {}", std::error::Error::source(&error).unwrap());
         assert_eq!(error, format!("weights 0 do not fit: {given} parameters given, the network has {expected}"));
     }
-}
-
-#[test]
-fn a_learner_of_the_mixture_acts_like_its_weights() {
-    let setup = mixture_setup(3);
-    let learner = Learner::new(setup.clone()).unwrap();
-    let blueprint = setup.catalog.get(&crate::fixtures::blueprint_id()).unwrap();
-    let scene = crate::fixtures::scene(&mut ChaCha8Rng::seed_from_u64(5));
-    let mut policy = policy::Policy::with_weights(&setup.policy, &learner.weights()).unwrap();
-    let seen = Observation { scene: &scene, blueprint };
-    let mut act =
-        |seed| policy.act(&[seen], &[ActionMode::Sampled], &mut [ChaCha8Rng::seed_from_u64(seed)]).unwrap().remove(0);
-    assert_eq!(act(1), act(1));
-    assert!((0..20).any(|seed| act(seed).action != act(20).action));
-    // Only what was chosen moves.
-    let decision = act(1);
-    let chosen = decision.action.choices.map(|block| block.unwrap().get());
-    assert!((0..16).all(|block| chosen.contains(&block) || decision.action.moves[block] == [0.0; 6]));
 }

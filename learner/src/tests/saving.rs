@@ -15,7 +15,7 @@ use runlog::RunPaths;
 use tokio_util::sync::CancellationToken;
 
 use super::learning::{bandit, small_setup};
-use super::service::{Learning, options, start};
+use super::service::{Learning, options, place, start};
 use crate::fixtures::Made;
 use crate::{CheckpointError, RunOptions};
 
@@ -37,12 +37,9 @@ struct Running {
 impl Running {
     /// Starts it. `spoil` is called after the files are open and before the first step.
     async fn start(save_retry: Duration, every_updates: u64, max_env_steps: u64, spoil: fn(&RunPaths)) -> Self {
-        let dir = tempfile::tempdir().unwrap();
-        let bus = Bus::isolated(dir.path()).await.unwrap();
-        let paths = RunPaths::new(dir.path().join("run"));
+        let (dir, bus, paths) = place().await;
         let metrics = bus.metrics_subscriber(keys::METRICS_LEARNER).await.unwrap();
-        let mut setup = small_setup(8);
-        setup.config = setup.config.with(|c| c.checkpoints.every_updates = every_updates).unwrap();
+        let setup = small_setup(8).with(|c| c.checkpoints.every_updates = every_updates);
         let n_fed = Arc::new(AtomicU64::new(0));
         let feed = {
             let (setup, paths, n_fed) = (setup.clone(), paths.clone(), n_fed.clone());

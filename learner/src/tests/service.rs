@@ -9,10 +9,20 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::learning::{bandit, fix_rate, small_setup};
+use super::learning::{bandit, small_setup};
 use crate::fixtures::Made;
-use crate::{Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Summary, run};
+use crate::{
+    Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Source, Summary, run,
+};
 use runlog::RunPaths;
+
+/// Returns a bus and the paths of a run in a temporary folder.
+pub(super) async fn place() -> (tempfile::TempDir, Bus, RunPaths) {
+    let dir = tempfile::tempdir().unwrap();
+    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let run_dir = RunPaths::new(dir.path().join("run"));
+    (dir, bus, run_dir)
+}
 
 /// Sends enough trajectories for one update with each of the next `n_updates` weights.
 async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
@@ -39,6 +49,12 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
     let refused = sender.send(&unknown).await.unwrap_err();
     assert!(matches!(refused, SendError::Refused(Refusal::Invalid(_))), "{refused}");
     (*newest).clone()
+}
+
+/// Returns a source that makes `n` episodes of one step at a time.
+fn episodes(setup: &LearnerSetup, n: usize, seed: u64) -> Box<dyn Source> {
+    let (setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(seed));
+    Box::new(Made(move |weights: &Weights| bandit(&setup, weights, n, &mut rng)))
 }
 
 /// Returns the options of a new run without end in `dir`.
@@ -76,9 +92,7 @@ async fn session(dir: &RunPaths, bus: &Bus, resume: bool, n_updates: u64) -> (Su
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn run_learns_reports_saves_and_resumes() {
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
-    let run_dir = RunPaths::new(dir.path().join("run"));
+    let (_dir, bus, run_dir) = place().await;
     let (report, weights) = session(&run_dir, &bus, false, 2).await;
     assert_eq!((report.n_updates, report.n_env_steps, report.weights_version), (2, 512, weights.version));
     assert_eq!((report.mailbox.accepted_total, report.mailbox.invalid_total), (512, 1));
@@ -96,9 +110,7 @@ async fn run_learns_reports_saves_and_resumes() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn failed_final_save_names_lost_and_newest_checkpoints() {
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
-    let run_dir = RunPaths::new(dir.path().join("run"));
+    let (_dir, bus, run_dir) = place().await;
     session(&run_dir, &bus, false, 1).await;
     let checkpoints = run_dir.checkpoints();
     // The next start removes the partial checkpoint of a killed process.
@@ -120,40 +132,24 @@ async fn failed_final_save_names_lost_and_newest_checkpoints() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn run_ends_at_its_number_of_steps() {
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
-    let run_dir = RunPaths::new(dir.path().join("run"));
-    let options = RunOptions { max_env_steps: Some(0), ..options(small_setup(6), &run_dir) };
-    let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
-    assert_eq!((report.n_updates, report.n_env_steps), (0, 0));
-    assert!(report.checkpoint.ends_with("checkpoints/step-0"));
-    bus.close().await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn run_takes_as_many_steps_as_were_asked_for_and_no_whole_update_more() {
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
     let setup = small_setup(6);
     assert_eq!(setup.config.batch_size, 256);
-    let its_setup = setup.clone();
-    let mut rng = ChaCha8Rng::seed_from_u64(6);
-    // Segments of one step.
-    let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 10, &mut rng)));
-    let run_dir = RunPaths::new(dir.path().join("run"));
-    let options = RunOptions { max_env_steps: Some(300), source, ..options(setup, &run_dir) };
-    let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
-    assert_eq!((report.n_updates, report.n_env_steps), (2, 300));
-    bus.close().await;
+    for (max_env_steps, n_updates) in [(0, 0), (300, 2)] {
+        let (_dir, bus, run_dir) = place().await;
+        let source = episodes(&setup, 10, 6);
+        let options = RunOptions { max_env_steps: Some(max_env_steps), source, ..options(setup.clone(), &run_dir) };
+        let report = run(options, &bus, CancellationToken::new()).await.unwrap().unwrap();
+        assert_eq!((report.n_updates, report.n_env_steps), (n_updates, max_env_steps));
+        assert!(report.checkpoint.ends_with(format!("checkpoints/step-{max_env_steps}")));
+        bus.close().await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_learner_that_waits_for_another_one_ends_when_told() {
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
+    let (_dir, bus, run_dir) = place().await;
     let _other = bus.declare_alive(proto::Role::Learner, "learner").await.unwrap();
-    let run_dir = RunPaths::new(dir.path().join("run"));
     let options = options(small_setup(7), &run_dir);
     let shutdown = CancellationToken::new();
     shutdown.cancel();
@@ -164,16 +160,9 @@ async fn a_learner_that_waits_for_another_one_ends_when_told() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn training_that_diverges_stops_and_keeps_usable_weights() {
-    let dir = tempfile::tempdir().unwrap();
-    let bus = Bus::isolated(dir.path()).await.unwrap();
-    let run_dir = RunPaths::new(dir.path().join("run"));
-    let mut setup = small_setup(5);
-    fix_rate(&mut setup, 1e5);
-    setup.config = setup.config.with(|c| c.checkpoints.every_updates = 1).unwrap();
-    let its_setup = setup.clone();
-    let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let source = Box::new(Made(move |weights: &Weights| bandit(&its_setup, weights, 256, &mut rng)));
-    let options = RunOptions { source, ..options(setup.clone(), &run_dir) };
+    let (_dir, bus, run_dir) = place().await;
+    let setup = small_setup(5).at_rate(1e5).with(|c| c.checkpoints.every_updates = 1);
+    let options = RunOptions { source: episodes(&setup, 256, 1), ..options(setup.clone(), &run_dir) };
     let error = run(options, &bus, CancellationToken::new()).await.unwrap_err();
     assert!(error.is::<Diverged>(), "{error:#}");
     let found = Checkpoint::read_latest(&run_dir.checkpoints()).unwrap();

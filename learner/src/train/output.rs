@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use blueprints::outside::as_text;
-use bus::Pulse;
+use bus::{Pulse, unix_ms};
 use proto::metrics::{BusCounts, IngestCounts, LearnerMetrics};
 use proto::{Weights, WeightsVersion};
 use runlog::{Lines, MetricsWriter, RunPaths};
@@ -132,11 +132,6 @@ impl Output {
         self.clock.update_start = Instant::now();
     }
 
-    /// Publishes the weights that the run begins with.
-    pub(super) fn publish_first(&self) {
-        self.send(None);
-    }
-
     /// Publishes the weights and metrics of an update.
     pub(super) fn publish(&mut self, learner: &Learner, update: &LearnerMetrics) {
         self.newest = Arc::new(learner.weights());
@@ -147,6 +142,7 @@ impl Output {
     }
 
     /// Shows the metrics in this process, and hands them and the newest weights to the bus, unless the session failed.
+    /// There are no metrics of the weights that a run begins with.
     pub(super) fn send(&self, metrics: Option<LearnerMetrics>) {
         if let Some(metrics) = &metrics {
             self.metrics_sender.send_replace(Some(metrics.clone()));
@@ -184,12 +180,6 @@ impl Output {
             ..update.clone()
         }
     }
-}
-
-/// Returns the milliseconds since 1970; 0 if the clock is earlier.
-pub(super) fn unix_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Returns how many steps the next update takes if `n_left` are left of the run: `per_update`, but the last two updates

@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use bus::unix_ms;
 use proto::keys;
 use proto::metrics::{LearnerMetrics, NotSaved};
 use runlog::{Lines, tensorboard};
 
-use super::output::{Output, unix_ms};
+use super::output::Output;
 use crate::checkpoint;
 use crate::learner::Learner;
 
@@ -56,12 +57,11 @@ impl Output {
 
     /// Saves everything, again and again until it succeeds, or until the run is told to end or its session fails.
     fn save_or_wait(&mut self, learner: &Learner) {
-        let Err(mut error) = self.try_save(learner) else { return };
-        let pulse = self.pulse.clone();
-        let _waiting = pulse.waiting();
         let pause = self.save_retry;
+        let mut waiting = None;
         let mut last_reason: Option<String> = None;
-        loop {
+        while let Err(error) = self.try_save(learner) {
+            waiting.get_or_insert_with(|| self.pulse.waiting());
             let reason = format!("{error:#}");
             if last_reason.as_ref() != Some(&reason) {
                 tracing::error!(reason, "nothing can be saved: training waits, and tries again every {pause:?}");
@@ -72,45 +72,38 @@ impl Output {
             if !self.pause(pause) {
                 return;
             }
-            match self.try_save(learner) {
-                Ok(()) => break,
-                Err(again) => error = again,
-            }
         }
-        tracing::info!("everything is saved again");
-        self.tell(None);
+        if waiting.is_some() {
+            tracing::info!("everything is saved again");
+            self.tell(None);
+        }
     }
 
     /// Saves what is not on disk yet. What cannot be saved does not keep the rest from it.
     fn try_save(&mut self, learner: &Learner) -> anyhow::Result<()> {
-        let mut saved = Ok(());
-        if let Some(line) = &self.saving.line {
-            match self.records.append(line) {
-                Ok(()) => self.saving.line = None,
-                Err(error) => saved = Err(error.into()),
-            }
+        let line = self.saving.line.as_ref().map_or(Ok(()), |line| self.records.append(line));
+        if line.is_ok() {
+            self.saving.line = None;
         }
-        if let Some((n_env_steps, scalars)) = &self.saving.scalars {
-            match self.records.scalars(*n_env_steps, scalars.iter().cloned()) {
-                Ok(()) => self.saving.scalars = None,
-                Err(error) => saved = saved.and(Err(error.into())),
-            }
+        let scalars = self.saving.scalars.as_ref();
+        let scalars = scalars.map_or(Ok(()), |(n, scalars)| self.records.scalars(*n, scalars.iter().cloned()));
+        if scalars.is_ok() {
+            self.saving.scalars = None;
         }
-        if self.saving.is_due {
-            match self.save_checkpoint(learner) {
-                Ok(path) => self.saving.checkpoint = Some(path),
-                Err(error) => saved = saved.and(Err(error.into())),
-            }
-        } else if saved.is_err() {
-            // From now on, a checkpoint is what is missing most.
-            self.saving.is_due = true;
+        let written = line.and(scalars);
+        if !self.saving.is_due {
+            // After an error, the next try saves a checkpoint too.
+            self.saving.is_due = written.is_err();
+            return Ok(written?);
         }
-        saved
+        let saved = self.save_checkpoint(learner).map(|path| self.saving.checkpoint = Some(path));
+        written?;
+        Ok(saved?)
     }
 
     fn save_checkpoint(&mut self, learner: &Learner) -> Result<PathBuf, checkpoint::CheckpointError> {
         let checkpoints = self.run_dir.checkpoints();
-        let path = learner.save(&checkpoints)?;
+        let path = learner.checkpoint().write(&checkpoints)?;
         let keep = self.checkpoints.keep;
         if let Err(error) = checkpoint::prune(&checkpoints, learner.n_env_steps(), keep) {
             tracing::warn!(%error, "older checkpoints were not removed");

@@ -1,13 +1,12 @@
 //! Inputs and activations of a pass over a few graphs.
 
+use blueprints::N_BLOCKS as N;
+
 use super::ops::Normalized;
 use super::spans::Shape;
 use crate::FeatureBatch;
 use crate::features::N_EDGES;
 use crate::network::listed_index;
-
-/// Number of nodes of a graph.
-const N: usize = blueprints::N_BLOCKS;
 
 /// Number of graphs encoded together: their activations for the backward pass fit into the L2 cache.
 pub(super) const GRAPHS: usize = 8;

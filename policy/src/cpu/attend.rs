@@ -1,12 +1,10 @@
 //! Attention over 16 nodes and the edges between them, forward and backward, one graph at a time.
 
+use blueprints::N_BLOCKS as N;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::matmul::{Base, small_add_transposed, small_product};
 use super::ops::{softmax, softmax_backward};
-
-/// Number of nodes of a graph.
-const N: usize = blueprints::N_BLOCKS;
 
 /// Input of both passes; `n` is the length of a node's vector, `rows` the number of nodes of all graphs.
 #[derive(Clone, Copy)]

@@ -35,6 +35,12 @@ pub(super) struct Fold {
     pub(super) is_raw: bool,
     /// Length of a node's vector: w, or nd + 1 for raw features.
     pub(super) n_in: usize,
+    pub(super) matrices: Matrices,
+}
+
+/// A layer's folded matrices, or their gradients.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Matrices {
     /// `[n_in, H · n_in]` and `[n_in, H · ed]`
     pub(super) to_node: Vec<f32>,
     pub(super) to_edge: Vec<f32>,
@@ -42,16 +48,6 @@ pub(super) struct Fold {
     pub(super) from_nodes: Vec<f32>,
     pub(super) from_edges: Vec<f32>,
     /// `[w]`
-    pub(super) constant: Vec<f32>,
-}
-
-/// Gradients of a layer's folded matrices, with the same shapes.
-#[derive(Clone, Debug, Default)]
-pub(super) struct FoldGradient {
-    pub(super) to_node: Vec<f32>,
-    pub(super) to_edge: Vec<f32>,
-    pub(super) from_nodes: Vec<f32>,
-    pub(super) from_edges: Vec<f32>,
     pub(super) constant: Vec<f32>,
 }
 
@@ -63,16 +59,8 @@ impl Fold {
         let (embed, embed_edge, edge_bias) =
             (net.of(&spans.embed_node), net.of(&spans.embed_edge.w), net.of(&spans.embed_edge.b));
         let heads: Vec<Head> = (0..shape.n_heads).map(|h| Head::new(net, &spans.layers[layer], h)).collect();
-        let mut fold = Self {
-            is_raw,
-            n_in: if is_raw { shape.sizes.node + 1 } else { w },
-            to_node: Vec::new(),
-            to_edge: Vec::new(),
-            from_nodes: Vec::new(),
-            from_edges: Vec::new(),
-            constant: vec![0.0; w],
-            heads: Vec::new(),
-        };
+        let n_in = if is_raw { shape.sizes.node + 1 } else { w };
+        let mut matrices = Matrices { constant: vec![0.0; w], ..Matrices::default() };
         let (mut to_node, mut to_edge) = (Vec::new(), Vec::new());
         for head in &heads {
             let (compare, edges, carry) = if is_raw {
@@ -87,25 +75,24 @@ impl Fold {
             };
             to_node.push(compare);
             to_edge.push(edges);
-            fold.from_nodes.extend(carry);
-            fold.from_edges.extend(multiply(arch, embed_edge, &head.carry[1], w));
-            add(&mut fold.constant, &multiply(arch, edge_bias, &head.carry[1], w));
+            matrices.from_nodes.extend(carry);
+            matrices.from_edges.extend(multiply(arch, embed_edge, &head.carry[1], w));
+            add(&mut matrices.constant, &multiply(arch, edge_bias, &head.carry[1], w));
         }
-        fold.to_node = beside(&to_node, fold.n_in);
-        fold.to_edge = beside(&to_edge, ed);
-        fold.heads = heads;
-        fold
+        matrices.to_node = beside(&to_node, n_in);
+        matrices.to_edge = beside(&to_edge, ed);
+        Self { heads, is_raw, n_in, matrices }
     }
 
     /// Sets a gradient to zero.
-    pub(super) fn clear(&self, gradient: &mut FoldGradient) {
-        let FoldGradient { to_node, to_edge, from_nodes, from_edges, constant } = gradient;
+    pub(super) fn clear(&self, gradient: &mut Matrices) {
+        let Matrices { to_node, to_edge, from_nodes, from_edges, constant } = gradient;
         for (values, matrix) in [
-            (to_node, &self.to_node),
-            (to_edge, &self.to_edge),
-            (from_nodes, &self.from_nodes),
-            (from_edges, &self.from_edges),
-            (constant, &self.constant),
+            (to_node, &self.matrices.to_node),
+            (to_edge, &self.matrices.to_edge),
+            (from_nodes, &self.matrices.from_nodes),
+            (from_edges, &self.matrices.from_edges),
+            (constant, &self.matrices.constant),
         ] {
             values.clear();
             values.resize(matrix.len(), 0.0);
@@ -113,7 +100,7 @@ impl Fold {
     }
 
     /// Adds the gradients of the parameters from which these matrices are computed.
-    pub(super) fn unfold(&self, net: Context<'_>, layer: usize, folded: &FoldGradient, gradient: &mut [f32]) {
+    pub(super) fn unfold(&self, net: Context<'_>, layer: usize, folded: &Matrices, gradient: &mut [f32]) {
         let Context { arch, shape, spans, .. } = net;
         let (w, ed, d) = (shape.width, shape.sizes.edge, shape.head_dim);
         let n_heads = shape.n_heads;
@@ -218,7 +205,7 @@ fn beside(matrices: &[Vec<f32>], n: usize) -> Vec<f32> {
 }
 
 /// Returns the columns `first..first + n` of a matrix with `n_all` columns.
-fn columns(matrix: &[f32], n_all: usize, first: usize, n: usize) -> Vec<f32> {
+pub(super) fn columns(matrix: &[f32], n_all: usize, first: usize, n: usize) -> Vec<f32> {
     matrix.chunks_exact(n_all).flat_map(|row| row[first..first + n].iter().copied()).collect()
 }
 

@@ -1,17 +1,14 @@
 //! The policy head and the value head (paper, sections "Policy" and "Critic" and the listing).
 
+use blueprints::N_BLOCKS as N;
+
 use super::activations::Activations;
+use super::fold::columns;
 use super::layer::Flow;
 use super::matmul::{Base, Packed, add_transposed, product, product_of};
 use super::ops::{add, add_rows, dot, relu_backward, softmax};
 use super::spans::{Context, Linear, Shape};
 use crate::config::MIN_STD;
-
-/// Number of blocks.
-const N: usize = blueprints::N_BLOCKS;
-
-/// Entries of a move.
-const MOVE: usize = 6;
 
 /// Network output for B scenes with G grippers; see [`crate::NetworkOutput`].
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -62,12 +59,13 @@ impl PolicyKernels {
     pub(super) fn new(net: Context<'_>, pack: impl Fn(&[f32], [usize; 2]) -> Packed) -> Self {
         let Context { shape, spans, .. } = net;
         let (w, g) = (shape.width, shape.sizes.n_grippers);
+        let linear = |linear: &Linear| pack(net.of(&linear.w), [w, linear.n_out]);
         Self {
-            act: spans.act.as_ref().map(|act| act.each_ref().map(|linear| pack(net.of(&linear.w), [w, MOVE]))),
+            act: spans.act.as_ref().map(|act| act.each_ref().map(linear)),
             input_global: pack(net.of(&spans.input_global), [shape.sizes.global, w]),
             grip_key: pack(net.of(&spans.grip_key), [2 * w, g * w]),
             block_key: pack(&net.of(&spans.block_key)[..w * w], [w, w]),
-            proposals: spans.proposals.as_ref().map(|linear| pack(net.of(&linear.w), [w, linear.n_out])),
+            proposals: spans.proposals.as_ref().map(linear),
         }
     }
 
@@ -77,20 +75,15 @@ impl PolicyKernels {
         let (w, g) = (shape.width, shape.sizes.n_grippers);
         let rows = x.n * N;
         let (nodes, global) = x.layers.last().map_or((&x.embedded, &x.embedded_global), |l| (&l.nodes, &l.global));
-        if let (Some(act), Some(kernels)) = (&spans.act, &self.act) {
-            for ((linear, kernel), to) in act.iter().zip(kernels).zip([&mut out.locs, &mut out.scales]) {
-                let at = to.len();
-                to.resize(at + rows * MOVE, 0.0);
-                product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
-            }
-            let at = out.scales.len() - rows * MOVE;
-            out.scales[at..].iter_mut().for_each(|s| *s = scale(shape.std_offset, *s));
+        let n_before = out.scales.len();
+        let act = spans.act.iter().flatten().zip(self.act.iter().flatten()).zip([&mut out.locs, &mut out.scales]);
+        let proposals = spans.proposals.iter().zip(&self.proposals).zip([&mut out.readouts]);
+        for ((linear, kernel), to) in act.chain(proposals) {
+            let at = to.len();
+            to.resize(at + rows * linear.n_out, 0.0);
+            product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut to[at..]);
         }
-        if let (Some(linear), Some(kernel)) = (&spans.proposals, &self.proposals) {
-            let at = out.readouts.len();
-            out.readouts.resize(at + rows * linear.n_out, 0.0);
-            product(arch, nodes, kernel, Base::Bias(net.of(&linear.b)), false, &mut out.readouts[at..]);
-        }
+        out.scales[n_before..].iter_mut().for_each(|s| *s = scale(shape.std_offset, *s));
 
         let own = product_of(arch, &x.raw_global, &self.input_global);
         x.grip_input.clear();
@@ -175,7 +168,7 @@ impl PolicyKernels {
         product(arch, &of_keys, &self.block_key, Base::Kept, false, &mut flow.nodes);
         add_transposed(arch, &x.grip_input, 2 * w, &of_grip, g * w, &mut gradient[spans.grip_key.clone()]);
         let of_input = product_of(arch, &of_grip, &self.grip_key);
-        let own: Vec<f32> = of_input.chunks_exact(2 * w).flat_map(|row| row[..w].iter().copied()).collect();
+        let own = columns(&of_input, 2 * w, 0, w);
         add_transposed(arch, &x.raw_global, shape.sizes.global, &own, w, &mut gradient[spans.input_global.clone()]);
         for (global, input) in flow.global.chunks_exact_mut(w).zip(of_input.chunks_exact(2 * w)) {
             add(arch, &input[w..], global);
@@ -252,10 +245,7 @@ impl ValueKernels {
             flow = before;
         }
         let n_in = flow.len() / values.len();
-        let part = |from: usize| -> Vec<f32> {
-            flow.chunks_exact(n_in).flat_map(|row| row[from..from + w].iter().copied()).collect()
-        };
-        let (own, graph) = (part(0), part(w));
+        let [own, graph] = [0, w].map(|first| columns(&flow, n_in, first, w));
         add_transposed(arch, &x.raw_global, gd, &own, w, &mut gradient[spans.value_input_global.clone()]);
         add_transposed(arch, &x.global, w, &graph, w, &mut gradient[spans.value_graph_global.clone()]);
         product_of(arch, &graph, &self.graph_global)

@@ -2,10 +2,10 @@
 
 use super::activations::{Activations, LayerActivations};
 use super::attend::{Graphs, attend, attend_backward};
-use super::fold::{Fold, FoldGradient};
+use super::fold::{Fold, Matrices};
 use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add_rows, add_to_nodes, layer_norm, layer_norm_backward, relu_backward, sum_nodes};
-use super::spans::{Context, LayerSpans, Shape};
+use super::spans::{Context, LayerSpans, Linear, Norm, Shape};
 
 /// A layer's kernels, packed for multiplication.
 #[derive(Clone, Debug)]
@@ -51,10 +51,10 @@ impl Kernels {
         let (w, ed, heads, hidden) = (shape.width, shape.sizes.edge, shape.n_heads, shape.gat.mlp_hidden);
         let (on_node, on_graph) = net.of(&spans.mlp_node[0].w).split_at(w * hidden);
         Self {
-            to_node: pack(&fold.to_node, [fold.n_in, heads * fold.n_in]),
-            to_edge: pack(&fold.to_edge, [fold.n_in, heads * ed]),
-            from_nodes: pack(&fold.from_nodes, [heads * fold.n_in, w]),
-            from_edges: pack(&fold.from_edges, [heads * ed, w]),
+            to_node: pack(&fold.matrices.to_node, [fold.n_in, heads * fold.n_in]),
+            to_edge: pack(&fold.matrices.to_edge, [fold.n_in, heads * ed]),
+            from_nodes: pack(&fold.matrices.from_nodes, [heads * fold.n_in, w]),
+            from_edges: pack(&fold.matrices.from_edges, [heads * ed, w]),
             mlp_node: [pack(on_node, [w, hidden]), pack(on_graph, [w, hidden])],
             mlp_node_out: pack(net.of(&spans.mlp_node[1].w), [hidden, w]),
             mlp_global: [
@@ -84,27 +84,25 @@ impl Layer {
         let n = x.n;
         let rows = n * 16;
         let (before, y) = x.split(l);
-        let (forward, spans) = (&self.forward, &self.spans);
-        y.resize(n, w, heads, hidden, self.fold.n_in, shape.sizes.edge);
+        let Self { forward, spans, fold, .. } = self;
+        let bias = |linear: &Linear| Base::Bias(net.of(&linear.b));
+        let norm = |[scale, offset]: &Norm| [net.of(scale), net.of(offset)];
+        y.resize(n, w, heads, hidden, fold.n_in, shape.sizes.edge);
 
         product(arch, before.input, &forward.to_node, Base::Zero, false, &mut y.compare_nodes);
         product(arch, before.input, &forward.to_edge, Base::Zero, false, &mut y.compare_edges);
-        let graphs = before.graphs(shape, self.fold.n_in, [&y.compare_nodes, &y.compare_edges]);
+        let graphs = before.graphs(shape, fold.n_in, [&y.compare_nodes, &y.compare_edges]);
         attend(arch, graphs, &mut y.weights, [&mut y.mean_nodes, &mut y.mean_edges]);
         let mut residual = vec![0.0; rows * w];
-        product(arch, &y.mean_nodes, &forward.from_nodes, Base::Bias(&self.fold.constant), false, &mut residual);
+        product(arch, &y.mean_nodes, &forward.from_nodes, Base::Bias(&fold.matrices.constant), false, &mut residual);
         product(arch, &y.mean_edges, &forward.from_edges, Base::Kept, false, &mut residual);
-        let norm = [net.of(&spans.ln_attn[0]), net.of(&spans.ln_attn[1])];
-        layer_norm(arch, [before.nodes, &residual], norm, &mut y.ln_attn, &mut y.attended);
+        layer_norm(arch, [before.nodes, &residual], norm(&spans.ln_attn), &mut y.ln_attn, &mut y.attended);
 
         let mut shared = vec![0.0; n * hidden];
-        let bias = Base::Bias(net.of(&spans.mlp_node[0].b));
-        product(arch, before.global, &forward.mlp_node[1], bias, false, &mut shared);
+        product(arch, before.global, &forward.mlp_node[1], bias(&spans.mlp_node[0]), false, &mut shared);
         product(arch, &y.attended, &forward.mlp_node[0], Base::PerGraph(&shared), true, &mut y.hidden);
-        let bias = Base::Bias(net.of(&spans.mlp_node[1].b));
-        product(arch, &y.hidden, &forward.mlp_node_out, bias, false, &mut residual);
-        let norm = [net.of(&spans.ln_mlp[0]), net.of(&spans.ln_mlp[1])];
-        layer_norm(arch, [&y.attended, &residual], norm, &mut y.ln_mlp, &mut y.nodes);
+        product(arch, &y.hidden, &forward.mlp_node_out, bias(&spans.mlp_node[1]), false, &mut residual);
+        layer_norm(arch, [&y.attended, &residual], norm(&spans.ln_mlp), &mut y.ln_mlp, &mut y.nodes);
 
         let mut sums = vec![0.0; n * w];
         sum_nodes(arch, &y.nodes, w, &mut sums);
@@ -113,12 +111,9 @@ impl Layer {
             to[..w].copy_from_slice(global);
             to[w..].copy_from_slice(sum);
         }
-        let bias = Base::Bias(net.of(&spans.mlp_global[0].b));
-        product(arch, &y.global_input, &forward.mlp_global[0], bias, true, &mut y.global_hidden);
-        let bias = Base::Bias(net.of(&spans.mlp_global[1].b));
-        product(arch, &y.global_hidden, &forward.mlp_global[1], bias, false, &mut sums);
-        let norm = [net.of(&spans.ln_global[0]), net.of(&spans.ln_global[1])];
-        layer_norm(arch, [before.global, &sums], norm, &mut y.ln_global, &mut y.global);
+        product(arch, &y.global_input, &forward.mlp_global[0], bias(&spans.mlp_global[0]), true, &mut y.global_hidden);
+        product(arch, &y.global_hidden, &forward.mlp_global[1], bias(&spans.mlp_global[1]), false, &mut sums);
+        layer_norm(arch, [before.global, &sums], norm(&spans.ln_global), &mut y.ln_global, &mut y.global);
     }
 
     /// Turns the gradient of this layer's output into that of its input, and adds the gradients of its parameters.
@@ -128,7 +123,7 @@ impl Layer {
         l: usize,
         x: &mut Activations,
         flow: &mut Flow,
-        folded: &mut FoldGradient,
+        folded: &mut Matrices,
         gradient: &mut [f32],
     ) {
         let Context { arch, shape, .. } = net;

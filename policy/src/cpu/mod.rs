@@ -21,7 +21,7 @@ use pulp::Arch;
 pub use heads::Outputs;
 
 use self::activations::{Activations, GRAPHS};
-use self::fold::FoldGradient;
+use self::fold::Matrices;
 use self::heads::{PolicyKernels, ValueActivations, ValueKernels, unscale};
 use self::layer::{Flow, Layer};
 use self::matmul::{Base, Packed, add_transposed, product};
@@ -56,7 +56,7 @@ pub struct Tape {
     value: ValueActivations,
     flow: Flow,
     /// Gradients of the folded matrices of each layer.
-    folded: Vec<FoldGradient>,
+    folded: Vec<Matrices>,
     outputs: Outputs,
 }
 
@@ -186,7 +186,7 @@ impl CpuNetwork {
         assert_eq!(by_output.values.len(), n_kept, "gradients of the last forward pass");
         gradient.clear();
         gradient.resize(spans.n_parameters, 0.0);
-        folded.resize_with(self.layers.len(), FoldGradient::default);
+        folded.resize_with(self.layers.len(), Matrices::default);
         self.layers.iter().zip(&mut *folded).for_each(|(layer, folded)| layer.fold.clear(folded));
         let global = value.backward(net, of_value, &by_output.values, gradient);
         let scales = unscale(&outputs.scales, &by_output.scales);
@@ -208,18 +208,11 @@ impl CpuNetwork {
             for (l, (layer, folded)) in self.layers.iter().zip(&mut *folded).enumerate().rev() {
                 layer.backward(net, l, x, flow, folded, gradient);
             }
-            let (w, nd) = (shape.width, shape.sizes.node);
+            let (w, nd, gd) = (shape.width, shape.sizes.node, shape.sizes.global);
             add_transposed(arch, &x.raw, nd + 1, &flow.nodes, w, &mut gradient[spans.embed_node.clone()]);
             let of_global = &spans.embed_global;
             add_rows(arch, &flow.global, &mut gradient[of_global.b.clone()]);
-            add_transposed(
-                arch,
-                &x.raw_global,
-                shape.sizes.global,
-                &flow.global,
-                w,
-                &mut gradient[of_global.w.clone()],
-            );
+            add_transposed(arch, &x.raw_global, gd, &flow.global, w, &mut gradient[of_global.w.clone()]);
         }
         for (l, (layer, folded)) in self.layers.iter().zip(folded).enumerate() {
             layer.fold.unfold(net, l, folded, gradient);

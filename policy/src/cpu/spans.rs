@@ -138,7 +138,7 @@ impl Spans {
         let embed_node = linear("embed_node");
         assert_eq!(embed_node.w.end, embed_node.b.start, "a kernel is followed by its bias");
         Self {
-            n_parameters: table.iter().map(ParameterSpec::len).sum(),
+            n_parameters: table.iter().map(ParameterSpec::n_values).sum(),
             embed_node: embed_node.w.start..embed_node.b.end,
             embed_edge: linear("embed_edge"),
             embed_global: linear("embed_global"),

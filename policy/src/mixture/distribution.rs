@@ -39,7 +39,6 @@ impl MixtureDistribution<'_> {
         let mut slots = [None; N_GRIPPERS];
         let mut log_prob = 0.0;
         let mut row = Row::default();
-        let mut logits = Vec::new();
         let mut choose = |logits: &[f32], rng: &mut ChaCha8Rng| {
             let (at, of_choice) = choose(logits, mode, rng)?;
             log_prob += of_choice;
@@ -48,22 +47,17 @@ impl MixtureDistribution<'_> {
 
         let block = BlockIdx::try_from(choose(&self.logits[..N_BLOCKS], rng)? as u8).ok()?;
         row.first_proposal(self.proposals, block);
-        row.logits(self.readouts, &mut logits);
-        let first = Draw { block, slot: Slot::from_index(row.index(choose(&logits, rng)?))? };
+        let first = Draw { block, slot: Slot::from_index(row.index(choose(&self.logits_of(&row, &[]), rng)?))? };
         (action.choices[0], slots[0]) = (Some(block), Some(first.slot));
         let mut second = None;
         if self.logits.len() > N_BLOCKS {
             row.second_block(self.proposals, first);
-            logits.clear();
-            row.logits(self.readouts, &mut logits);
-            logits.iter_mut().zip(&self.logits[N_BLOCKS..]).for_each(|(logit, own)| *logit += own);
+            let logits = self.logits_of(&row, &self.logits[N_BLOCKS..]);
             let block = BlockIdx::try_from(choose(&logits, rng)? as u8).ok()?;
             action.choices[1] = Some(block);
             if block != first.block {
                 row.second_proposal(self.proposals, first, block);
-                logits.clear();
-                row.logits(self.readouts, &mut logits);
-                let draw = Draw { block, slot: Slot::from_index(row.index(choose(&logits, rng)?))? };
+                let draw = Draw { block, slot: Slot::from_index(row.index(choose(&self.logits_of(&row, &[]), rng)?))? };
                 slots[1] = Some(draw.slot);
                 second = Some(draw);
             }
@@ -77,14 +71,11 @@ impl MixtureDistribution<'_> {
     /// Returns the joint log-probability of an action whose draws `rows` describes, nats. The noise around a proposal has
     /// no parameters and is left out.
     pub fn log_prob(&self, action: &Action, slots: &[Option<Slot>], rows: &ActionRows) -> f32 {
-        let mut logits = Vec::new();
         let mut total = 0.0;
         let mut of_row = |row: &Row, own: &[f32], choice: Option<u8>| {
-            let Some(at) = choice.and_then(|choice| row.position(choice)) else { return };
-            logits.clear();
-            row.logits(self.readouts, &mut logits);
-            logits.iter_mut().zip(own).for_each(|(logit, own)| *logit += own);
-            total += log_softmax_at(&logits, at);
+            if let Some(at) = choice.and_then(|choice| row.position(choice)) {
+                total += log_softmax_at(&self.logits_of(row, own), at);
+            }
         };
         let slot = |gripper: usize| slots.get(gripper).copied().flatten();
         of_row(&rows.first, &[], slot(0).map(Slot::index));
@@ -97,14 +88,16 @@ impl MixtureDistribution<'_> {
     /// Returns the entropies of the choices that `rows` describes, nats: of the first gripper's proposal, and, given
     /// that draw, of the second's block and proposal. A choice that was not made has 0.
     pub fn entropies(&self, rows: &ActionRows) -> [f32; 3] {
-        let mut logits = Vec::new();
         let own = [&[][..], self.logits.get(N_BLOCKS..).unwrap_or_default(), &[]];
-        std::array::from_fn(|part| {
-            logits.clear();
-            rows.all()[part].logits(self.readouts, &mut logits);
-            logits.iter_mut().zip(own[part]).for_each(|(logit, own)| *logit += own);
-            entropy(&logits)
-        })
+        std::array::from_fn(|part| entropy(&self.logits_of(rows.all()[part], own[part])))
+    }
+
+    /// Returns the logits of a row's options, plus `own`: the second gripper's logits of blocks, or nothing if empty.
+    fn logits_of(&self, row: &Row, own: &[f32]) -> Vec<f32> {
+        let mut logits = Vec::new();
+        row.logits(self.readouts, &mut logits);
+        logits.iter_mut().zip(own).for_each(|(logit, own)| *logit += own);
+        logits
     }
 
     fn movement(&self, draw: Draw, mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<Move> {

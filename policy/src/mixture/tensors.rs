@@ -4,6 +4,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use super::{ActionRows, D, N, N_READOUTS, ROOT, Row};
 use crate::distribution::MASKED_LOGIT;
+use crate::parameters::leaf;
 
 /// Logits of the draws of B recorded actions on a device.
 #[derive(Clone, Debug)]
@@ -39,12 +40,10 @@ impl DrawNumbers {
         }))
     }
 
-    /// Copies the numbers to a device.
+    /// Copies the numbers to a device. With autodiff, they are leaves of its graph.
     pub(crate) fn to_tensors(&self, n: usize, device: &Device) -> DrawLogits {
-        let [first, blocks, second] = self.0.each_ref().map(|numbers| {
-            let shape = [n, numbers.len() / n.max(1)];
-            Tensor::from_data(TensorData::new(numbers.clone(), shape), device)
-        });
+        let [first, blocks, second] =
+            self.0.each_ref().map(|numbers| leaf(numbers, [n, numbers.len() / n.max(1)], device));
         DrawLogits { first, blocks, second }
     }
 

@@ -10,9 +10,10 @@
 //! - Σₛ w (nₛMn + (xE + b)Me) O = (Σₛ w nₛ) Mn O + (Σₛ w x) E Me O + b Me O, because the weights sum to 1: nodes and
 //!   *raw* edge features are averaged first, and the projections act on 16 rows.
 //!
-//! The result equals the unfolded form up to rounding; a test compares the two. In training, folding is part of the
-//! autodiff graph; for inference, it is done once per weights version.
+//! The result equals the unfolded form up to rounding; tests compare it with the listing's numbers. In training, folding
+//! is part of the autodiff graph; for inference, it is done once per weights version.
 
+use blueprints::N_BLOCKS as N;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, activation};
 
@@ -21,9 +22,6 @@ use super::layers::{Builder, LayerNorm, Linear, Projection};
 use crate::config::GatConfig;
 use crate::features::FeatureSizes;
 use crate::parameters::Initializer;
-
-/// Number of nodes of the graph.
-const N: usize = blueprints::N_BLOCKS;
 
 /// Added to the logit of an edge that does not exist.
 const NO_EDGE: f32 = -1e9;

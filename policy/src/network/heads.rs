@@ -1,19 +1,15 @@
 //! Policy and value heads (paper, sections "Policy" and "Critic" and the listing).
 
+use blueprints::N_BLOCKS as N;
 use burn::module::Module;
 use burn::tensor::{Tensor, activation};
 
 use super::layers::{Builder, Linear, Projection};
 use crate::config::{MIN_STD, MoveHead, NetworkConfig};
+use crate::distribution::MOVE;
 use crate::features::FeatureSizes;
 use crate::mixture::N_READOUTS;
 use crate::parameters::Initializer;
-
-/// Number of blocks.
-const N: usize = blueprints::N_BLOCKS;
-
-/// Entries of a move.
-const MOVE: usize = 6;
 
 /// Gaussians of the moves of B scenes.
 #[derive(Clone, Debug)]
@@ -85,9 +81,10 @@ impl PolicyHead {
     /// nodes `[B·16, w]` → `[B, 16, 6]`
     pub(super) fn moves(&self, nodes: &Tensor<2>) -> Option<MoveTensors> {
         let shape = [nodes.dims()[0] / N, N, MOVE];
-        let locs = self.act_loc.as_ref()?.forward(nodes.clone()).reshape(shape);
-        let scales = self.scales(self.act_scale.as_ref()?.forward(nodes.clone())).reshape(shape);
-        Some(MoveTensors { locs, scales })
+        let locs = self.act_loc.as_ref()?.forward(nodes.clone());
+        let x = self.act_scale.as_ref()?.forward(nodes.clone()).add_scalar(self.std_offset);
+        let scales = activation::softplus(x, 1.0).add_scalar(MIN_STD);
+        Some(MoveTensors { locs: locs.reshape(shape), scales: scales.reshape(shape) })
     }
 
     /// Reads out what the mixture head's logits are sums of; `None` for the Gaussian head.
@@ -98,11 +95,6 @@ impl PolicyHead {
         let rows = nodes.dims()[0];
         let linear = self.proposals.as_ref()?;
         Some(linear.forward(nodes.clone()).reshape([rows / N, N, N_READOUTS]))
-    }
-
-    /// Maps the layer's output to standard deviations.
-    fn scales(&self, x: Tensor<2>) -> Tensor<2> {
-        activation::softplus(x.add_scalar(self.std_offset), 1.0).add_scalar(MIN_STD)
     }
 }
 

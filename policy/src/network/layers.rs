@@ -57,15 +57,17 @@ impl LayerNorm {
 pub(crate) struct Builder<'a> {
     device: &'a Device,
     pub(crate) specs: Vec<ParameterSpec>,
+    pub(crate) initializers: Vec<Initializer>,
 }
 
 impl<'a> Builder<'a> {
     pub(crate) fn new(device: &'a Device) -> Self {
-        Self { device, specs: Vec::new() }
+        Self { device, specs: Vec::new(), initializers: Vec::new() }
     }
 
     fn note(&mut self, name: String, shape: Vec<usize>, initializer: Initializer) {
-        self.specs.push(ParameterSpec { name, shape, initializer });
+        self.specs.push(ParameterSpec { name, shape });
+        self.initializers.push(initializer);
     }
 
     pub(crate) fn projection(&mut self, name: &str, [n_in, n_out]: [usize; 2], init: Initializer) -> Projection {

@@ -77,12 +77,6 @@ impl Network {
     ///
     /// On `device.autodiff()`, its parameters are tracked for training. `config` must be valid.
     pub fn init(config: &NetworkConfig, sizes: &FeatureSizes, seed: u64, device: &Device) -> Self {
-        let network = Self::zeros(config, sizes, device);
-        let values = parameters::initial_values(&network.table, seed);
-        parameters::load(network, &values).expect("the table lists every parameter once, with finite initial values")
-    }
-
-    fn zeros(config: &NetworkConfig, sizes: &FeatureSizes, device: &Device) -> Self {
         let mut builder = Builder::new(device);
         let encoder = match &config.encoder {
             EncoderConfig::Gat(gat) => Encoder::Gat(GatEncoder::build(&mut builder, gat, config.width, sizes)),
@@ -92,17 +86,14 @@ impl Network {
         };
         let head = PolicyHead::build(&mut builder, config, sizes);
         let value = ValueHead::build(&mut builder, config, sizes);
-        Self { encoder, head, value, table: builder.specs }
+        let values = parameters::initial_values(&builder.specs, &builder.initializers, seed);
+        parameters::load(Self { encoder, head, value, table: builder.specs }, &values)
+            .expect("the table lists every parameter once, with finite initial values")
     }
 
-    /// Returns the name, shape, and initializer of every parameter, in the order of the flat vector.
+    /// Returns the name and shape of every parameter, in the order of the flat vector.
     pub fn table(&self) -> &[ParameterSpec] {
         &self.table
-    }
-
-    /// Returns the number of parameters; 1 238 157 with the paper's sizes.
-    pub fn n_parameters(&self) -> usize {
-        self.table.iter().map(ParameterSpec::len).sum()
     }
 
     /// Folds and runs the network as one graph.

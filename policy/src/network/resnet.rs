@@ -1,5 +1,6 @@
 //! The "non-graph" baseline encoder (paper, appendix "ResNet Baseline Details") on the flattened features.
 
+use blueprints::N_BLOCKS as N;
 use burn::module::Module;
 use burn::tensor::{Tensor, activation};
 
@@ -8,9 +9,6 @@ use super::layers::{Builder, LayerNorm, Linear};
 use crate::config::ResnetConfig;
 use crate::features::{FeatureSizes, N_EDGES};
 use crate::parameters::Initializer;
-
-/// Number of blocks.
-const N: usize = blueprints::N_BLOCKS;
 
 /// The flat encoder's parameters.
 ///

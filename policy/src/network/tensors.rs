@@ -1,12 +1,10 @@
 //! A batch of features on a device.
 
+use blueprints::N_BLOCKS as N;
 use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use crate::batch::FeatureBatch;
 use crate::features::N_EDGES;
-
-/// Number of blocks.
-const N: usize = blueprints::N_BLOCKS;
 
 /// Network input for B scenes.
 #[derive(Clone, Debug)]

@@ -22,11 +22,6 @@ pub(super) fn scene(goal: &Blueprint) -> Scene {
         let radius = 0.3 + 0.05 * i as f32;
         Pose { position: [radius * angle.cos(), radius * angle.sin(), 0.05 + 0.1 * i as f32], orientation }
     };
-    Scene {
-        blocks: std::array::from_fn(pose),
-        speeds_mps: [0.1; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [gripper(), gripper()],
-        n_heavy_contacts: 0,
-    }
+    let grippers = [gripper(), gripper()];
+    Scene { speeds_mps: [0.1; N_BLOCKS], grippers, ..Scene::at_rest(std::array::from_fn(pose)) }
 }

@@ -1,15 +1,13 @@
 //! The moves of proposals.
 
-use blueprints::{BlockIdx, N_BLOCKS};
+use blueprints::{BlockIdx, N_BLOCKS as N};
 use nalgebra::Vector3;
 use proto::{Gripper, Move, Scene};
 
 use super::detour::next_stop;
 use super::solid::Solid;
-use super::way::{STEP_M, STEP_RAD, Way};
+use super::way::{STEP_M, Way};
 use crate::geometry::Frame;
-
-const N: usize = N_BLOCKS;
 
 /// Longest distance from the place in the funnel of two single blocks, m.
 const FUNNEL_M: f32 = 0.2;
@@ -47,7 +45,10 @@ const HOLD_M: f32 = 0.5;
 /// Reach from which a piece is leveled, m, and how far its end moves for that in a step, m.
 const LEVEL_FROM_M: f32 = 0.4;
 const LEVEL_M: f32 = 0.1;
-/// Number of steps before another piece is there, from which on this one turns no more.
+/// Reach from which a piece that waits comes, m, and how far it comes in a step, m.
+const COME_FROM_M: f32 = 0.7;
+const COME_M: f32 = 0.2;
+/// Steps until the other piece is there, from which on this one only rises.
 const STILL_STEPS: f32 = 2.0;
 /// Speed below which a block is idle, m/s, with this radius for its turn, m.
 const IDLE_MPS: f32 = 0.15;
@@ -131,11 +132,11 @@ impl Layout {
         // If nobody brings what both grippers wait for, it is fetched.
         let fetches = waits && self.is_idle && !self.held[self.pieces[j.get()]];
         if waits && !fetches {
-            return self.wait(i, &place_m, way.n_steps());
+            return self.wait([i, j], &place_m, way.n_steps());
         }
         let is_apart = self.pieces[i.get()] != self.pieces[j.get()];
         if let Some(retreat) = self.retreats[i.get()].filter(|_| is_apart && own <= other) {
-            return Way { shift: self.frames[i.get()].localize(&retreat), turn: Vector3::zeros() }.to_move();
+            return self.step(i, &retreat, &Vector3::zeros());
         }
         let around = self.surroundings(i);
         let off = self.stand_off([i, j], &around, &way, &normal);
@@ -168,23 +169,29 @@ impl Layout {
 
     /// Returns a move of i up to half a meter that levels its piece.
     pub(super) fn hold(&self, i: BlockIdx) -> Move {
-        self.rise(i, HOLD_M - self.frames[i.get()].position.z, &self.leveling(i))
+        self.step(i, &up(HOLD_M - self.frames[i.get()].position.z), &self.leveling(i))
     }
 
-    /// Returns a move that holds i until the block that is to be at `place_m` has come, which takes `n_steps`.
-    fn wait(&self, i: BlockIdx, place_m: &Vector3<f32>, n_steps: f32) -> Move {
+    /// Returns i's move while j is on its way to `place_m`, in i's frame, where it will be in `n_steps`. The piece rises
+    /// and is leveled. A long one also comes, but not down, because the ways to its ends are long.
+    fn wait(&self, [i, j]: [BlockIdx; 2], place_m: &Vector3<f32>, n_steps: f32) -> Move {
         let own = &self.frames[i.get()];
-        let lowest = own.position.z.min((own.position + own.axes * place_m).z);
-        let turn = if n_steps > STILL_STEPS { self.leveling(i) } else { Vector3::zeros() };
-        self.rise(i, HOLD_M - lowest, &turn)
+        let place = own.position + own.axes * place_m;
+        let rise = up(HOLD_M - own.position.z.min(place.z));
+        if n_steps <= STILL_STEPS {
+            return self.step(i, &rise, &Vector3::zeros());
+        }
+        let mut to_j = self.frames[j.get()].position - place;
+        to_j.z = 0.0;
+        let is_long = self.reaches[i.get()].norm() >= COME_FROM_M;
+        let come = if is_long { to_j.cap_magnitude(COME_M) } else { Vector3::zeros() };
+        self.step(i, &(rise + come), &self.leveling(i))
     }
 
-    /// Returns a move straight up by at most `height_m` and one step, with a turn in the world, rad.
-    fn rise(&self, i: BlockIdx, height_m: f32, turn: &Vector3<f32>) -> Move {
+    /// Returns i's move by a shift, m, and a turn, rad, in the world: one step of them if they take more.
+    fn step(&self, i: BlockIdx, shift: &Vector3<f32>, turn: &Vector3<f32>) -> Move {
         let own = &self.frames[i.get()];
-        let up = own.localize(&Vector3::z()) * (height_m / STEP_M).clamp(0.0, 1.0);
-        let turn = own.localize(turn) / STEP_RAD;
-        [up.x, up.y, up.z, turn.x, turn.y, turn.z]
+        Way { shift: own.localize(shift), turn: own.localize(turn) }.to_move()
     }
 
     /// Returns the turn about i that brings the piece nearer to the horizontal, in the world, rad; zero for a short one.
@@ -278,6 +285,11 @@ impl Layout {
         let stop = next_stop(&mover, &own.position, &to, &(own.axes * normal), &around.obstacles);
         own.localize(&(stop - own.position))
     }
+}
+
+/// Returns the way straight up, in the world: `height_m`, but at most one step, and none down.
+fn up(height_m: f32) -> Vector3<f32> {
+    Vector3::z() * height_m.clamp(0.0, STEP_M)
 }
 
 /// Returns the speed that a gripper wanted of points at this radius, at most, m/s.

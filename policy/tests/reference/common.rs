@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Tensor;
+use policy::features::N_EDGES;
+use policy::{FeatureBatch, FeatureConfig, FeatureSizes};
 use serde_json::Value;
 
 /// Largest relative error of results in `f32`.
@@ -47,6 +49,21 @@ pub(crate) fn generate(name: &str, seed: u64, n: usize) -> Vec<f64> {
     (1..=n as u64)
         .map(|i| (finalise(start.wrapping_add(i.wrapping_mul(GOLDEN_RATIO))) >> 40) as f64 / f64::from(1 << 23) - 1.0)
         .collect()
+}
+
+/// Returns a batch of `n` scenes with the features that `make` returns for a name and their number.
+pub(crate) fn batch(sizes: FeatureSizes, n: usize, make: impl Fn(&str, usize) -> Vec<f32>) -> FeatureBatch {
+    let mut batch = FeatureBatch::new(&FeatureConfig::paper());
+    (batch.n, batch.sizes) = (n, sizes);
+    batch.nodes = make("nodes", n * 16 * sizes.node);
+    batch.edges = make("edges", n * N_EDGES * sizes.edge);
+    batch.globals = make("globals", n * sizes.global);
+    batch.allowed = vec![true; n * 16];
+    batch
+}
+
+pub(crate) fn widened(values: &[f32]) -> Vec<f64> {
+    values.iter().copied().map(f64::from).collect()
 }
 
 /// Returns the largest |x − y| relative to the largest |y|.

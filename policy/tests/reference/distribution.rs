@@ -1,11 +1,12 @@
-//! The action distribution on slices and tensors against JAX vectors in `f64`, and its sampling.
+//! The action distribution on slices and tensors against JAX vectors in `f64`, and its sampling. Entropies and gradients
+//! against such vectors are in `learner/tests/golden.rs`, with the loss that uses them.
 
 use crate::common::{TOLERANCE, floats, golden_path, numbers, read_json, relative_error, values};
 use blueprints::{BlockIdx, N_BLOCKS};
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
+use policy::cpu::Outputs;
 use policy::distribution::{ActionDistribution, MASKED_LOGIT, mask_logits};
 use policy::loss_terms::{self, ActionTensors};
-use policy::{MoveTensors, NetworkOutput};
 use proptest::prelude::*;
 use proto::Action;
 use rand::SeedableRng;
@@ -22,41 +23,19 @@ fn actions(golden: &Value) -> Vec<Action> {
     (0..8).map(action).collect()
 }
 
-struct Heads {
-    logits: Vec<f32>,
-    locs: Vec<f32>,
-    scales: Vec<f32>,
+/// Returns outputs with two grippers and without values.
+fn outputs(logits: Vec<f32>, locs: Vec<f32>, scales: Vec<f32>) -> Outputs {
+    let values = vec![0.0; logits.len() / 32];
+    Outputs { locs, scales, logits, values, readouts: Vec::new() }
 }
 
-impl Heads {
-    fn read(json: &Value) -> Self {
-        Self { logits: floats(&json["grip_logits"]), locs: floats(&json["locs"]), scales: floats(&json["scales"]) }
-    }
+fn read(json: &Value) -> Outputs {
+    outputs(floats(&json["grip_logits"]), floats(&json["locs"]), floats(&json["scales"]))
+}
 
-    fn row(&self, item: usize) -> ActionDistribution<'_> {
-        let moves = item * 96..(item + 1) * 96;
-        ActionDistribution::new(
-            &self.logits[item * 32..(item + 1) * 32],
-            &self.locs[moves.clone()],
-            &self.scales[moves],
-        )
-    }
-
-    fn tensors(&self, device: &Device) -> NetworkOutput {
-        let b = self.logits.len() / 32;
-        // A device without autodiff does not support tracking.
-        let leaf = |values: &[f32], shape: [usize; 3]| {
-            let tensor = Tensor::from_data(TensorData::new(values.to_vec(), shape), device);
-            if device.is_autodiff() { tensor.require_grad() } else { tensor }
-        };
-        NetworkOutput {
-            moves: Some(MoveTensors { locs: leaf(&self.locs, [b, 16, 6]), scales: leaf(&self.scales, [b, 16, 6]) }),
-            logits: leaf(&self.logits, [b, 2, 16]),
-            values: Tensor::zeros([b], device),
-            readouts: None,
-            draws: None,
-        }
-    }
+fn row(outputs: &Outputs, item: usize) -> ActionDistribution<'_> {
+    let [locs, scales] = [&outputs.locs, &outputs.scales].map(|moves| &moves[item * 96..(item + 1) * 96]);
+    ActionDistribution::new(&outputs.logits[item * 32..(item + 1) * 32], locs, scales)
 }
 
 #[test]
@@ -64,48 +43,14 @@ fn log_probs_match() {
     let golden = read_json(&golden_path("ppo_policy.json"));
     let actions = actions(&golden);
     for (heads, key) in [("new", "logp"), ("old", "logp_old")] {
-        let heads = Heads::read(&golden[heads]);
+        let outputs = read(&golden[heads]);
         let expected = numbers(&golden["variants"]["chosen_unique"][key]);
-        let slices: Vec<f32> = (0..8).map(|i| heads.row(i).log_prob(&actions[i])).collect();
+        let slices: Vec<f32> = (0..8).map(|i| row(&outputs, i).log_prob(&actions[i])).collect();
         assert!(relative_error(&slices, &expected) <= TOLERANCE, "{key}: {slices:?}");
         let device = Device::flex();
-        let tensors = loss_terms::log_prob(&heads.tensors(&device), &ActionTensors::new(actions.iter(), 2, &device));
+        let actions = ActionTensors::new(actions.iter(), 2, &device);
+        let tensors = loss_terms::log_prob(&outputs.to_tensors(2, &device), &actions);
         assert!(relative_error(&values(tensors), &expected) <= TOLERANCE, "{key} on tensors");
-    }
-}
-
-#[test]
-fn gradients_of_the_clipped_loss_match() {
-    let golden = read_json(&golden_path("ppo_policy.json"));
-    let device = Device::flex().autodiff();
-    let advantages = floats(&golden["advantages_normalised"]);
-    let clip = golden["clip_eps"].as_f64().unwrap();
-    let output = Heads::read(&golden["new"]).tensors(&device);
-    let log_prob = loss_terms::log_prob(&output, &ActionTensors::new(actions(&golden).iter(), 2, &device));
-    let vector = |x: &[f32]| Tensor::<1>::from_data(TensorData::new(x.to_vec(), [8]), &device);
-    let variant = &golden["variants"]["chosen_unique"];
-    let ratio = (log_prob - vector(&floats(&variant["logp_old"]))).exp();
-    let advantages = vector(&advantages);
-    let clipped = ratio.clone().clamp(1.0 - clip, 1.0 + clip) * advantages.clone();
-    let loss = (ratio * advantages).min_pair(clipped).mean().neg();
-    let gradients = loss.backward();
-    for (key, ours) in [
-        ("grad_logits", values(output.logits.grad(&gradients).unwrap())),
-        ("grad_locs", values(output.gaussians().locs.grad(&gradients).unwrap())),
-        ("grad_scales", values(output.gaussians().scales.grad(&gradients).unwrap())),
-    ] {
-        let error = relative_error(&ours, &numbers(&variant[key]));
-        assert!(error <= TOLERANCE, "{key} is off by {error:e}");
-    }
-}
-
-#[test]
-fn entropies_match() {
-    let golden = read_json(&golden_path("ppo_policy.json"));
-    let found = loss_terms::entropy(&Heads::read(&golden["new"]).tensors(&Device::flex()), None);
-    for (ours, key) in [(values(found.blocks), "categorical"), (values(found.moves), "gaussian_expected_unique")] {
-        let error = relative_error(&ours, &numbers(&golden["entropy"][key]));
-        assert!(error <= TOLERANCE, "{key} is off by {error:e}");
     }
 }
 
@@ -126,7 +71,7 @@ fn entropy(logits: &[f64], of_moves: &[f64]) -> f64 {
 #[test]
 fn entropy_gradients_are_central_differences() {
     let golden = read_json(&golden_path("ppo_policy.json"));
-    let output = Heads::read(&golden["new"]).tensors(&Device::flex().autodiff());
+    let output = read(&golden["new"]).to_tensors(2, &Device::flex().autodiff());
     let found = loss_terms::entropy(&output, None);
     let gradients = (found.blocks + found.moves).sum().backward();
     let (logits, scales) = (numbers(&golden["new"]["grip_logits"]), numbers(&golden["new"]["scales"]));
@@ -240,8 +185,7 @@ proptest! {
             prop_assert!(allowed[block]);
             prop_assert!(masked[16 * gripper + block] > MASKED_LOGIT);
         }
-        let heads = Heads { logits: logits.clone(), locs: locs.clone(), scales: scales.clone() };
-        let mut output = heads.tensors(&Device::flex());
+        let mut output = outputs(logits, locs.clone(), scales.clone()).to_tensors(2, &Device::flex());
         output.logits = loss_terms::mask_logits(output.logits, &[Some(allowed)]);
         let tensors = ActionTensors::new([&action].into_iter(), 2, &Device::flex());
         let on_tensors = values(loss_terms::log_prob(&output, &tensors))[0];

@@ -6,16 +6,16 @@
 //! The value-only gradients have fewer of the five.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use crate::common::{TOLERANCE, generate, golden_path, numbers, read_json, relative_error, values};
-use burn::tensor::{Device, Gradients, Tensor};
+use crate::common::{TOLERANCE, batch, generate, golden_path, numbers, read_json, relative_error, values, widened};
+use burn::tensor::{Device, Tensor};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::features::N_EDGES;
 use policy::parameters::{self, ParameterSpec};
 use policy::{
-    BatchTensors, EncoderConfig, FeatureBatch, FeatureConfig, FeatureSizes, GatConfig, MoveTensors, Network,
-    NetworkConfig, NetworkOutput, ResnetConfig,
+    BatchTensors, EncoderConfig, FeatureBatch, FeatureSizes, GatConfig, MoveTensors, Network, NetworkConfig,
+    NetworkOutput, ResnetConfig,
 };
 use serde_json::Value;
 
@@ -67,7 +67,7 @@ impl Golden {
         assert_eq!(ours, shapes, "names and shapes of the parameters");
         let mut values = Vec::new();
         for spec in table {
-            let x = generate(&format!("param.{}", spec.name), self.seed, spec.len());
+            let x = generate(&format!("param.{}", spec.name), self.seed, spec.n_values());
             let gain = 0.5_f64.min(2.5 / (spec.shape[0] as f64).sqrt());
             let made: Vec<f32> = x
                 .iter()
@@ -87,14 +87,12 @@ impl Golden {
     }
 
     fn features(&self) -> FeatureBatch {
-        let FeatureSizes { node, edge, global, .. } = self.sizes;
-        let b = self.batch;
         let make = |name: &str, n: usize| -> Vec<f32> {
-            generate(name, self.seed, n).into_iter().map(|x| (1.5 * x) as f32).collect()
+            generate(&format!("in.{name}"), self.seed, n).into_iter().map(|x| (1.5 * x) as f32).collect()
         };
-        let mut globals = make("in.globals", b * global);
-        let half = global / 2;
-        for (k, part) in globals.chunks_exact_mut(half).enumerate() {
+        let mut batch = batch(self.sizes, self.batch, make);
+        let half = self.sizes.global / 2;
+        for (k, part) in batch.globals.chunks_exact_mut(half).enumerate() {
             let item = k / 2;
             let gripper = k % 2;
             let one_hot = &mut part[half - 16..];
@@ -103,11 +101,6 @@ impl Golden {
                 one_hot[(3 * item + 5 * gripper + 1) % 16] = 1.0;
             }
         }
-        let mut batch = FeatureBatch::new(&FeatureConfig::paper());
-        (batch.n, batch.sizes) = (b, self.sizes);
-        batch.nodes = make("in.nodes", b * 16 * node);
-        batch.edges = make("in.edges", b * N_EDGES * edge);
-        batch.globals = globals;
         for (name, values) in [("nodes", &batch.nodes), ("edges", &batch.edges), ("globals", &batch.globals)] {
             for (value, expected) in values.iter().zip(numbers(&self.json["input_check"][name])) {
                 assert_eq!(f64::from(*value), expected, "generator at in.{name}");
@@ -142,9 +135,9 @@ impl Golden {
         let mut gradients = loss.backward();
         let flat = parameters::flatten_gradients(network, &mut gradients);
         let mut ours = vec![
-            ("in.nodes", gradient(&inputs.nodes, &mut gradients)),
-            ("in.edges", gradient(&inputs.edges, &mut gradients)),
-            ("in.globals", gradient(&inputs.globals, &mut gradients)),
+            ("in.nodes", values(inputs.nodes.grad(&gradients).unwrap())),
+            ("in.edges", values(inputs.edges.grad(&gradients).unwrap())),
+            ("in.globals", values(inputs.globals.grad(&gradients).unwrap())),
         ];
         ours.extend(parameters::spans(network.table()).map(|(spec, span)| (spec.name.as_str(), flat[span].to_vec())));
         // The value-only gradients are given only for parameters.
@@ -157,7 +150,7 @@ impl Golden {
 
     fn check_gradient(&self, name: &str, ours: &[f32], expected: &Value) {
         assert!(expected["l2"].is_f64(), "{name} lacks its gradient");
-        let ours: Vec<f64> = ours.iter().map(|x| f64::from(*x)).collect();
+        let ours = widened(ours);
         let direction = generate(&format!("dir.{name}"), self.seed, ours.len());
         let largest = ours.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
         let l2 = expected["l2"].as_f64().unwrap();
@@ -176,13 +169,6 @@ impl Golden {
                 "{set}: {key} of the gradient of {name} is {value}, not {wanted}"
             );
         }
-    }
-}
-
-fn gradient<const D: usize>(tensor: &Tensor<D>, gradients: &mut Gradients) -> Vec<f32> {
-    match tensor.grad_remove(gradients) {
-        Some(gradient) => values(gradient),
-        None => vec![0.0; tensor.shape().num_elements()],
     }
 }
 
@@ -239,22 +225,15 @@ fn check_cpu(golden: &Golden, table: &[ParameterSpec], parameters: &[f32]) {
         }
     }
     let twice = |values: &[f32]| values.iter().map(|x| 2.0 * x).collect::<Vec<f32>>();
-    let ones = vec![1.0; golden.batch];
     let whole = Outputs {
         locs: twice(&output.locs),
         scales: output.scales.iter().map(|s| 1.0 / s).collect(),
         logits: twice(&output.logits),
-        values: ones.clone(),
+        values: vec![1.0; golden.batch],
         readouts: Vec::new(),
     };
-    let zeros = |values: &[f32]| vec![0.0; values.len()];
-    let value_only = Outputs {
-        locs: zeros(&output.locs),
-        scales: zeros(&output.scales),
-        logits: zeros(&output.logits),
-        values: ones,
-        readouts: Vec::new(),
-    };
+    let [locs, scales, logits] = [&whole.locs, &whole.scales, &whole.logits].map(|of| vec![0.0; of.len()]);
+    let value_only = Outputs { locs, scales, logits, ..whole.clone() };
     let cases = [(whole, &golden.json["grads"]), (value_only, &golden.json["grads_value_only"]["grads"])];
     let mut gradient = Vec::new();
     for (by_output, expected) in cases.into_iter().filter(|(_, expected)| !expected.is_null()) {
@@ -288,16 +267,4 @@ fn all_sets_match_the_listing_on_a_gpu() {
     for name in ["set_a_gat", "set_d_noatt", "set_e_resnet_h128"] {
         check_on(&gpu, &golden_path(&format!("{name}.compact.json")), 1e-4);
     }
-}
-
-/// Checks additional golden files, of any dimensions, in the folder named by `LODESTONE_GOLDEN_DIR`.
-#[test]
-fn every_set_in_the_given_folder_matches() {
-    let Some(folder) = std::env::var_os("LODESTONE_GOLDEN_DIR").map(PathBuf::from) else { return };
-    let entries = std::fs::read_dir(&folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
-    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
-    paths.retain(|path| path.to_string_lossy().ends_with(".compact.json"));
-    paths.sort();
-    assert!(!paths.is_empty(), "no *.compact.json in {}", folder.display());
-    paths.iter().for_each(|path| check(path));
 }

@@ -21,6 +21,16 @@ pub(super) fn invalid(field: &'static str, value: impl ToString, expected: &'sta
     DecodeError::Invalid { field, value, expected }
 }
 
+/// Returns an error that shows the value unless `ok`.
+pub(super) fn ensure(
+    ok: bool,
+    field: &'static str,
+    value: impl ToString,
+    expected: &'static str,
+) -> Result<(), DecodeError> {
+    if ok { Ok(()) } else { Err(invalid(field, value, expected)) }
+}
+
 pub(super) fn present<T>(field: &'static str, value: Option<T>) -> Result<T, DecodeError> {
     value.ok_or(DecodeError::Missing { field })
 }
@@ -30,20 +40,8 @@ pub(super) fn number(field: &'static str, value: f32) -> Result<f32, DecodeError
     if value.abs() <= LARGEST_MAGNITUDE { Ok(value) } else { Err(invalid(field, value, "a number in −1e6..=1e6")) }
 }
 
-pub(super) fn not_negative(field: &'static str, value: f32) -> Result<f32, DecodeError> {
-    if (0.0..=LARGEST_MAGNITUDE).contains(&value) {
-        Ok(value)
-    } else {
-        Err(invalid(field, value, "a number in 0..=1e6"))
-    }
-}
-
 pub(super) fn positive(field: &'static str, value: f32) -> Result<f32, DecodeError> {
     if value > 0.0 && value.is_finite() { Ok(value) } else { Err(invalid(field, value, "a finite number above 0")) }
-}
-
-pub(super) fn probability(field: &'static str, value: f32) -> Result<f32, DecodeError> {
-    if (0.0..=1.0).contains(&value) { Ok(value) } else { Err(invalid(field, value, "a number in 0..=1")) }
 }
 
 /// Checks that there are exactly `N` numbers, finite and of plausible size.
@@ -60,18 +58,14 @@ pub(super) fn array<T: Copy, const N: usize>(field: &'static str, values: &[T]) 
 pub(super) fn unit_quaternion(field: &'static str, values: &[f32]) -> Result<[f32; 4], DecodeError> {
     let q: [f32; 4] = numbers(field, values)?;
     let norm = q.iter().map(|x| x * x).sum::<f32>().sqrt();
-    if (norm - 1.0).abs() <= UNIT_TOLERANCE {
-        Ok(q)
-    } else {
-        Err(invalid(field, format!("a quaternion of norm {norm}"), "a norm within 1e-3 of 1"))
-    }
+    let is_unit = (norm - 1.0).abs() <= UNIT_TOLERANCE;
+    ensure(is_unit, field, format_args!("a quaternion of norm {norm}"), "a norm within 1e-3 of 1")?;
+    Ok(q)
 }
 
 pub(super) fn block(field: &'static str, index: u32) -> Result<BlockIdx, DecodeError> {
-    u8::try_from(index)
-        .ok()
-        .and_then(|i| BlockIdx::try_from(i).ok())
-        .ok_or_else(|| invalid(field, index, "a block index in 0..16"))
+    let block = u8::try_from(index).ok().and_then(|i| BlockIdx::try_from(i).ok());
+    block.ok_or_else(|| invalid(field, index, "a block index in 0..16"))
 }
 
 pub(super) fn blueprint_id(field: &'static str, id: String) -> Result<BlueprintId, DecodeError> {

@@ -3,7 +3,6 @@
 
 mod check;
 mod error;
-mod header;
 mod reply;
 mod scene;
 #[cfg(test)]
@@ -16,12 +15,11 @@ use prost::bytes::Buf;
 use prost::encoding::{DecodeContext, decode_key, skip_field};
 
 pub use error::DecodeError;
-pub use header::{TRAJECTORY_HEADER_BYTES, trajectory_actor};
 pub use prost::bytes::Bytes;
 pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
 pub use trajectory::{
-    MAX_RECORDING_BYTES, MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, decode_recording, decode_trajectory,
-    encode_recording, encode_trajectory,
+    MAX_RECORDING_BYTES, MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, TRAJECTORY_HEADER_BYTES, decode_recording,
+    decode_trajectory, encode_recording, encode_trajectory, trajectory_actor,
 };
 pub use weights::{
     MAX_PARAMETERS, MAX_WEIGHTS_BYTES, PublishedWeights, WeightsNotice, decode_notice, decode_weights, encode_notice,

@@ -3,7 +3,9 @@
 use blueprints::{CubeRotation, N_BLOCKS, RelativePlacement};
 
 use super::DecodeError;
-use super::check::{array, block, invalid, narrow, not_negative, number, numbers, present, unit_quaternion};
+use super::check::{
+    LARGEST_MAGNITUDE, array, block, ensure, invalid, narrow, number, numbers, present, unit_quaternion,
+};
 use crate::{Action, Gripper, Joint, N_GRIPPERS, Pose, RewardTerms, Scene, wire};
 
 /// Number of values in a pose: position and orientation.
@@ -39,15 +41,13 @@ pub(super) fn scene_from_wire(scene: wire::Scene) -> Result<Scene, DecodeError> 
     }
     let speeds_mps: [f32; N_BLOCKS] = array("scene.speeds", &scene.speeds)?;
     for speed in speeds_mps {
-        not_negative("scene.speeds", speed)?;
+        ensure((0.0..=LARGEST_MAGNITUDE).contains(&speed), "scene.speeds", speed, "a number in 0..=1e6")?;
     }
     let joints = scene.joints.into_iter().map(joint_from_wire).collect::<Result<Vec<_>, _>>()?;
-    if let Some([first, second]) =
-        joints.array_windows().find(|[first, second]| (first.a, first.b) >= (second.a, second.b))
-    {
-        let pair = |j: &Joint| format!("({}, {})", j.a.get(), j.b.get());
-        let value = format!("{} before {}", pair(first), pair(second));
-        return Err(invalid("scene.joints", value, "block pairs in rising order, each once"));
+    for [first, second] in joints.array_windows() {
+        let [(a, b), (c, d)] = [first, second].map(|joint| (joint.a.get(), joint.b.get()));
+        let pairs = format_args!("({a}, {b}) before ({c}, {d})");
+        ensure((a, b) < (c, d), "scene.joints", pairs, "block pairs in rising order, each once")?;
     }
     let first = gripper_from_wire(present("scene.gripper_0", scene.gripper_0)?)?;
     Ok(Scene {
@@ -70,17 +70,14 @@ fn joint_to_wire(joint: &Joint) -> wire::Joint {
 
 fn joint_from_wire(joint: wire::Joint) -> Result<Joint, DecodeError> {
     let (a, b) = (block("joint.a", joint.a)?, block("joint.b", joint.b)?);
-    if a >= b {
-        return Err(invalid("joint.b", joint.b, "a block index above joint.a"));
-    }
+    ensure(a < b, "joint.b", joint.b, "a block index above joint.a")?;
     let offset_half_units: [i32; 3] = array("joint.offset", &joint.offset)?;
-    if let Some(offset) =
-        offset_half_units.iter().find(|x| !(-MAX_OFFSET_HALF_UNITS..=MAX_OFFSET_HALF_UNITS).contains(*x))
-    {
-        return Err(invalid("joint.offset", offset, "a number in −8..=8"));
+    for offset in offset_half_units {
+        let is_near = (-MAX_OFFSET_HALF_UNITS..=MAX_OFFSET_HALF_UNITS).contains(&offset);
+        ensure(is_near, "joint.offset", offset, "a number in −8..=8")?;
     }
-    let rotation = narrow("joint.rotation", joint.rotation, "a number in 0..24")
-        .and_then(|r: u8| CubeRotation::try_from(r).map_err(|_| invalid("joint.rotation", r, "a number in 0..24")))?;
+    let rotation = u8::try_from(joint.rotation).ok().and_then(|rotation| CubeRotation::try_from(rotation).ok());
+    let rotation = rotation.ok_or_else(|| invalid("joint.rotation", joint.rotation, "a number in 0..24"))?;
     Ok(Joint { a, b, relative: RelativePlacement { offset_half_units, rotation } })
 }
 

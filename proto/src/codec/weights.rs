@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use prost::Message;
 
-use super::check::{LARGEST_MAGNITUDE, blueprint_id, invalid, number, positive, present, probability, settings};
+use super::check::{LARGEST_MAGNITUDE, blueprint_id, ensure, number, positive, present, settings};
 use super::{Bytes, DecodeError, MAX_SMALL_BYTES, PROTOCOL_VERSION, check_version, parse};
 use crate::{Normalization, Weights, WeightsVersion, wire};
 
@@ -79,13 +79,12 @@ pub fn encode_weights(weights: &Weights, epoch: u64) -> Vec<u8> {
 pub fn decode_weights(bytes: Bytes) -> Result<PublishedWeights, DecodeError> {
     let message: wire::Weights = parse("Weights", bytes, MAX_WEIGHTS_BYTES)?;
     check_version(message.protocol_version)?;
-    let parameters = parameters_from_wire(&message.parameters)?;
     let weights = Weights {
         version: WeightsVersion(message.version),
         n_env_steps: message.n_env_steps,
         network_hash: message.network_hash,
+        parameters: parameters_from_wire(&message.parameters)?,
         settings: settings(&message.settings)?,
-        parameters,
         normalization: normalization_from_wire(present("normalization", message.normalization)?)?,
         task_probabilities: probabilities_from_wire(message.task_probabilities)?,
     };
@@ -101,12 +100,9 @@ fn parameters_to_wire(parameters: &[f32]) -> Bytes {
 
 fn parameters_from_wire(bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {
     let (places, rest) = bytes.as_chunks::<4>();
-    if !rest.is_empty() {
-        return Err(invalid("parameters", format!("{} bytes", bytes.len()), "four bytes per value"));
-    }
-    if !(1..=MAX_PARAMETERS).contains(&places.len()) {
-        return Err(invalid("parameters", format!("{} values", places.len()), "1 to 25165824 values"));
-    }
+    ensure(rest.is_empty(), "parameters", format_args!("{} bytes", bytes.len()), "four bytes per value")?;
+    let is_valid = (1..=MAX_PARAMETERS).contains(&places.len());
+    ensure(is_valid, "parameters", format_args!("{} values", places.len()), "1 to 25165824 values")?;
     let parameters: Vec<f32> = places.iter().map(|place| f32::from_le_bytes(*place)).collect();
     for block in parameters.chunks(BLOCK) {
         // Without an early exit, checking a block takes a few instructions per 16 values.
@@ -158,9 +154,8 @@ fn normalization_from_wire(message: wire::Normalization) -> Result<Normalization
 
 fn statistics_from_wire(message: wire::FeatureStatistics) -> Result<(Vec<f32>, Vec<f32>), DecodeError> {
     let wire::FeatureStatistics { mean, std } = message;
-    if mean.len() != std.len() {
-        return Err(invalid("normalization.std", format!("{} values", std.len()), "as many as the means"));
-    }
+    let n_std = format_args!("{} values", std.len());
+    ensure(mean.len() == std.len(), "normalization.std", n_std, "as many as the means")?;
     mean.iter().try_for_each(|&m| number("normalization.mean", m).map(drop))?;
     std.iter().try_for_each(|&s| positive("normalization.std", s).map(drop))?;
     Ok((mean, std))
@@ -173,14 +168,12 @@ fn probabilities_from_wire(
     let mut sum = 0.0;
     for wire::TaskProbability { blueprint, probability: p } in message {
         let id = blueprint_id("task_probabilities.blueprint", blueprint)?;
-        let p = probability("task_probabilities.probability", p)?;
+        ensure((0.0..=1.0).contains(&p), "task_probabilities.probability", p, "a number in 0..=1")?;
         sum += f64::from(p);
-        if probabilities.insert(id.clone(), p).is_some() {
-            return Err(invalid("task_probabilities.blueprint", id, "each blueprint once"));
-        }
+        let is_new = probabilities.insert(id.clone(), p).is_none();
+        ensure(is_new, "task_probabilities.blueprint", id, "each blueprint once")?;
     }
-    if (sum - 1.0).abs() > SUM_TOLERANCE {
-        return Err(invalid("task_probabilities", format!("a sum of {sum}"), "a sum of 1"));
-    }
+    let is_one = (sum - 1.0).abs() <= SUM_TOLERANCE;
+    ensure(is_one, "task_probabilities", format_args!("a sum of {sum}"), "a sum of 1")?;
     Ok(probabilities)
 }

@@ -42,7 +42,7 @@ pub trait Number: Copy + PartialOrd + Display {
 }
 
 macro_rules! numbers {
-    ($($number:ty: $is_finite:expr;)*) => {$(
+    ($($is_finite:expr => $($number:ty),*;)*) => {$($(
         impl Number for $number {
             fn is_finite(self) -> bool {
                 let is_finite: fn(Self) -> bool = $is_finite;
@@ -57,18 +57,13 @@ macro_rules! numbers {
                 InvalidSetting::check(key, self, range.contains(self) && Number::is_finite(*self), expected(range))
             }
         }
-    )*};
+    )*)*};
 }
 
 numbers! {
-    u8: |_| true;
-    u16: |_| true;
-    u32: |_| true;
-    u64: |_| true;
-    usize: |_| true;
-    i32: |_| true;
-    f32: f32::is_finite;
-    f64: f64::is_finite;
+    |_| true => u8, u16, u32, u64, usize, i32;
+    f32::is_finite => f32;
+    f64::is_finite => f64;
 }
 
 macro_rules! collections {

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 use super::camera::{Camera, Projected};
 use super::image::{Image, Rgb, mix};
-use super::model::{Block, Finish, corners};
+use super::model::{Block, corners};
 use super::raster::scan;
 
 /// Color of the grid lines. The rest stays white, because a tint would double the size of a contact sheet.
@@ -37,7 +37,6 @@ pub(super) struct Shadow {
     width: usize,
     /// Shadow by pixel, 0 for light to 255 for full shadow.
     mask: Vec<u8>,
-    sums: Vec<u32>,
     line: Vec<u8>,
 }
 
@@ -150,9 +149,10 @@ impl Shadow {
             [from.saturating_sub(2 * radius + 1), (to + 2 * radius + 1).min(limit)]
         };
         let area = Area { x: grown(area.x, size[0]), y: grown(area.y, size[1]) };
+        let [width, height] = [area.x, area.y].map(|[from, to]| to - from);
         for _ in 0..2 {
-            self.blur_rows(area, radius);
-            self.blur_columns(area, radius);
+            self.blur((area.y[0]..area.y[1]).map(|y| y * size[0] + area.x[0]), 1, width, radius);
+            self.blur((area.x[0]..area.x[1]).map(|x| area.y[0] * size[0] + x), size[0], height, radius);
         }
         for y in area.y[0]..area.y[1] {
             let mask = &mut self.mask[y * self.width..][area.x[0]..area.x[1]];
@@ -170,7 +170,7 @@ impl Shadow {
         let light = camera.light;
         let mut area = Area { x: [size[0], 0], y: [size[1], 0] };
         let onto_ground = |at: Point3<f32>| -> Option<Projected> { camera.project(&(at - light * (at.z / light.z))) };
-        for block in blocks.iter().filter(|block| block.finish != Finish::Ghost) {
+        for block in blocks {
             // The lit sides cover the same pixels as all sides.
             for side in block.sides().filter(|side| side.normal.dot(&light) > 0.0) {
                 let [Some(a), Some(b), Some(c), Some(d)] = side.corners.map(onto_ground) else { continue };
@@ -186,44 +186,19 @@ impl Shadow {
         (area.y[1] > 0).then_some(area)
     }
 
-    fn blur_rows(&mut self, area: Area, radius: usize) {
-        let [from, to] = area.x;
-        let n = (2 * radius + 1) as u32;
-        for y in area.y[0]..area.y[1] {
-            let row = &mut self.mask[y * self.width..][from..to];
-            self.line.clear();
-            self.line.extend_from_slice(row);
-            let line = &self.line;
+    /// Blurs lines of `n` values that begin at the `firsts` and go on in steps of `stride`: each value becomes the mean of
+    /// those up to `radius` values away, with light beyond the ends.
+    fn blur(&mut self, firsts: impl Iterator<Item = usize>, stride: usize, n: usize, radius: usize) {
+        let n_averaged = (2 * radius + 1) as u32;
+        for first in firsts {
+            let line = &mut self.line;
+            line.clear();
+            line.extend(self.mask[first..].iter().step_by(stride).take(n));
             let mut sum: u32 = line.iter().take(radius).map(|&x| u32::from(x)).sum();
-            for (i, out) in row.iter_mut().enumerate() {
+            for (i, out) in self.mask[first..].iter_mut().step_by(stride).take(n).enumerate() {
                 sum += line.get(i + radius).map_or(0, |&x| u32::from(x));
-                *out = (sum / n) as u8;
+                *out = (sum / n_averaged) as u8;
                 sum -= i.checked_sub(radius).map_or(0, |i| u32::from(line[i]));
-            }
-        }
-    }
-
-    fn blur_columns(&mut self, area: Area, radius: usize) {
-        let ([left, right], [top, bottom]) = (area.x, area.y);
-        let width = right - left;
-        let n = (2 * radius + 1) as u32;
-        self.line.clear();
-        for y in top..bottom {
-            self.line.extend_from_slice(&self.mask[y * self.width..][left..right]);
-        }
-        self.sums.clear();
-        self.sums.resize(width, 0);
-        let line = |i: usize| &self.line[i * width..(i + 1) * width];
-        for i in 0..(bottom - top + radius) {
-            if i < bottom - top {
-                self.sums.iter_mut().zip(line(i)).for_each(|(sum, &x)| *sum += u32::from(x));
-            }
-            if let Some(out) = i.checked_sub(radius) {
-                let row = &mut self.mask[(top + out) * self.width..][left..right];
-                row.iter_mut().zip(&self.sums).for_each(|(x, sum)| *x = (sum / n) as u8);
-                if let Some(old) = out.checked_sub(radius) {
-                    self.sums.iter_mut().zip(line(old)).for_each(|(sum, &x)| *sum -= u32::from(x));
-                }
             }
         }
     }

@@ -28,8 +28,6 @@ pub enum Finish {
         /// Color of the edges.
         frame: Option<Rgb>,
     },
-    /// Only the edges, to mark a block's target place. It casts no shadow.
-    Ghost,
 }
 
 /// A block to draw.
@@ -66,16 +64,18 @@ pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
 
 /// Returns all blocks of a world; held blocks are framed in the gripper's color.
 pub fn of_scene(scene: &Scene) -> Vec<Block> {
-    let finish = |block: BlockIdx| {
-        let holds = |gripper: &Option<proto::Gripper>| gripper.is_some_and(|gripper| gripper.held == Some(block));
-        let holder = scene.grippers.iter().position(holds);
-        holder.map_or(Finish::Plain, |gripper| Finish::Framed(GRIPPER_COLORS[gripper]))
-    };
+    let framed = |gripper: usize| Finish::Framed(GRIPPER_COLORS[gripper]);
+    let finish = |block: BlockIdx| holder(scene, block).map_or(Finish::Plain, framed);
     let placed = BlockIdx::all().zip(&scene.blocks).map(|(block, at)| {
         let rotation = UnitQuaternion::new_normalize(at.orientation.into());
         Block { block, pose: Isometry3::from_parts(at.position.into(), rotation), finish: finish(block) }
     });
     placed.collect()
+}
+
+/// Returns the index of the gripper that holds a block.
+pub(crate) fn holder(scene: &Scene, block: BlockIdx) -> Option<usize> {
+    scene.grippers.iter().position(|gripper| gripper.is_some_and(|gripper| gripper.held == Some(block)))
 }
 
 /// Returns the corners of all blocks (m, world), for framing.

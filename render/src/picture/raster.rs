@@ -54,12 +54,6 @@ impl Surface {
         (area.abs() > 1e-3)
             .then(|| [[first * dy / area, -first * dx / area], [-second * by / area, second * bx / area]])
     }
-
-    /// Returns the surface in sample coordinates.
-    fn on_samples(&self) -> [Projected; 4] {
-        let factor = OVERSAMPLING as f32;
-        self.corners.map(|at| Projected { x: at.x * factor, y: at.y * factor, ..at })
-    }
 }
 
 /// Returns the linear quantity with these values at three corners.
@@ -113,13 +107,12 @@ impl Samples {
         (self.rows, self.columns) = (height..0, width..0);
     }
 
-    /// Draws a surface where no earlier one is nearer. `shade` gives the color at the surface's two coordinates, or
-    /// `None` for a hole.
-    pub(super) fn draw(&mut self, surface: &Surface, shade: impl Fn(f32, f32) -> Option<Rgb>) {
-        if surface.gradients().is_none() {
-            return;
-        }
-        let corners = surface.on_samples();
+    /// Draws a surface, which must have [gradients](Surface::gradients), where no earlier one is nearer. `shade` gives
+    /// the color at the surface's two coordinates.
+    pub(super) fn draw(&mut self, surface: &Surface, shade: impl Fn(f32, f32) -> Rgb) {
+        debug_assert!(surface.gradients().is_some(), "a surface seen edge-on");
+        let factor = OVERSAMPLING as f32;
+        let corners = surface.corners.map(|at| Projected { x: at.x * factor, y: at.y * factor, ..at });
         let [a, b, _, d] = &corners;
         let [first, second] = surface.size;
         let nearness = linear([a, b, d], [a.nearness, b.nearness, d.nearness]);
@@ -140,10 +133,8 @@ impl Samples {
                 if here > *best {
                     let scale = 1.0 / (zoom_0 + step * zoom.per_x);
                     let at = [first_0 + step * first.per_x, second_0 + step * second.per_x];
-                    if let Some(seen) = shade(at[0] * scale, at[1] * scale) {
-                        *best = here;
-                        *color = seen;
-                    }
+                    *best = here;
+                    *color = shade(at[0] * scale, at[1] * scale);
                 }
             }
         });

@@ -7,7 +7,7 @@ use super::ground::Ground;
 use super::image::{Image, Rgb, WHITE};
 use super::model::{TYPE_COLORS, corners, of_blueprint};
 use super::painter::Painter;
-use super::text::{Type, fitted, write};
+use super::text::{GRAY, INK, Type, fitted, write};
 use super::texture::{NEGATIVE_COLOR, POSITIVE_COLOR};
 
 /// Maximum number of blueprints on a contact sheet: six columns and eight rows, 1860 × 2240 pixels.
@@ -16,8 +16,6 @@ pub const MAX_TILES: usize = 48;
 /// The views of a card by row.
 const CARD_VIEWS: [View; 4] = [View::FrontQuarter, View::BackQuarter, View::Front, View::Top];
 
-const INK: Rgb = [34, 38, 50];
-const GRAY: Rgb = [104, 110, 126];
 const HAIRLINE: Rgb = [222, 226, 233];
 
 /// Padding around text, in pixels.

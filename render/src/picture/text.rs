@@ -4,6 +4,12 @@ use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_wid
 
 use super::image::{Image, Rgb};
 
+/// Color of most text.
+pub(crate) const INK: Rgb = [34, 38, 50];
+
+/// Color of less important text.
+pub(crate) const GRAY: Rgb = [104, 110, 126];
+
 /// A text style.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Type {
@@ -73,10 +79,8 @@ mod tests {
         let mut image = Image::filled(60, 40, WHITE);
         let at = [10, 12];
         write(&mut image, at, "H×", Type::Small, [0; 3]);
-        let dark: Vec<(usize, usize)> = (0..60 * 40)
-            .map(|i| (i % 60, i / 60))
-            .filter(|&(x, y)| image.get(x, y).is_some_and(|[red, ..]| red < 128))
-            .collect();
+        let dark = |i: &usize| image.pixels()[*i][0] < 128;
+        let dark: Vec<(usize, usize)> = (0..60 * 40).filter(dark).map(|i| (i % 60, i / 60)).collect();
         let right = at[0] + Type::Small.width("H×");
         assert!(dark.iter().all(|&(x, y)| (10..right).contains(&x) && (12..28).contains(&y)), "{dark:?}");
         // Both characters are drawn: the font has the multiplication sign.

@@ -37,8 +37,8 @@ struct Texture {
     cells: [f32; 2],
     edge_u: [f32; 2],
     edge: Rgb,
-    /// The side's color, or `None` if only the edges are drawn.
-    base: Option<Rgb>,
+    /// The side's color.
+    base: Rgb,
     rim: Rgb,
     magnet: Rgb,
     sign: Sign,
@@ -84,7 +84,6 @@ impl Texture {
             Finish::Framed(color) => (FRAME_U, color),
             // Use a narrower frame, so that enough of a small block's shade remains.
             Finish::Shaded { frame: Some(color), .. } => (0.6 * FRAME_U, color),
-            Finish::Ghost => (EDGE_U, mix(block.color(), [70, 74, 90], 0.5)),
         };
         let units_per_px = gradients.map(|[x, y]| x.hypot(y));
         // Foreshortening would narrow the edges of an oblique side.
@@ -103,7 +102,7 @@ impl Texture {
             cells: side.cells,
             edge_u,
             edge,
-            base: (block.finish != Finish::Ghost).then_some(base),
+            base,
             rim: mix(base, lit(WHITE, glow), 0.8),
             magnet,
             sign,
@@ -112,23 +111,22 @@ impl Texture {
     }
 
     #[inline(always)]
-    fn at(&self, place: [f32; 2]) -> Option<Rgb> {
+    fn at(&self, place: [f32; 2]) -> Rgb {
         let is_edge = |i: usize| place[i].min(self.cells[i] - place[i]) < self.edge_u[i];
         if is_edge(0) || is_edge(1) {
-            return Some(self.edge);
+            return self.edge;
         }
-        let base = self.base?;
         if self.is_bare {
-            return Some(base);
+            return self.base;
         }
         // Places are positive here, so cutting off decimals finds the cell.
         let from_center = place.map(|x| (x - (x as u32) as f32 - 0.5).abs());
         let distance_squared = from_center[0] * from_center[0] + from_center[1] * from_center[1];
         if distance_squared >= RIM_RADIUS_U * RIM_RADIUS_U {
-            return Some(base);
+            return self.base;
         }
         if distance_squared >= MAGNET_RADIUS_U * MAGNET_RADIUS_U {
-            return Some(self.rim);
+            return self.rim;
         }
         let is_stroke = |along: usize| from_center[along] < SIGN_HALF_U[0] && from_center[1 - along] < SIGN_HALF_U[1];
         let is_sign = match self.sign {
@@ -136,6 +134,6 @@ impl Texture {
             Sign::Plus => is_stroke(0) || is_stroke(1),
             Sign::Minus(along) => is_stroke(along),
         };
-        Some(if is_sign { self.rim } else { self.magnet })
+        if is_sign { self.rim } else { self.magnet }
     }
 }

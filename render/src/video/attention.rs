@@ -4,11 +4,12 @@ use std::fmt;
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use policy::{Attention, Policy};
-use proto::{Observation, Scene};
+use proto::Observation;
 
 use super::episode::Episode;
 use super::stage::Stage;
-use crate::picture::{Finish, GRIPPER_COLORS, Image, Painter, Rgb, mix, of_scene};
+use crate::picture::text::INK;
+use crate::picture::{Finish, GRIPPER_COLORS, Image, Painter, Rgb, holder, mix, of_scene};
 
 /// Colors of no attention, of some, and of [`FULL`] or more.
 const RAMP: [Rgb; 3] = [[240, 242, 246], [247, 164, 66], [140, 14, 84]];
@@ -77,20 +78,15 @@ pub struct Shares {
 }
 
 impl Shares {
-    /// Adds the shares field by field.
-    pub(super) fn plus(self, other: Self) -> Self {
-        Self { planned: self.planned + other.planned, joined: self.joined + other.joined, held: self.held + other.held }
-    }
-
-    /// Multiplies each share by `factor`.
-    pub(super) fn times(self, factor: f32) -> Self {
-        Self { planned: self.planned * factor, joined: self.joined * factor, held: self.held * factor }
-    }
-
     /// Returns the mean of the shares; zeros for an empty iterator.
     pub fn mean(all: impl IntoIterator<Item = Self>) -> Self {
-        let (sum, n) = all.into_iter().fold((Self::default(), 0), |(sum, n), shares| (sum.plus(shares), n + 1));
-        sum.times(1.0 / n.max(1) as f32)
+        let (mut sum, mut n) = (Self::default(), 0.0_f32);
+        for Self { planned, joined, held } in all {
+            sum = Self { planned: sum.planned + planned, joined: sum.joined + joined, held: sum.held + held };
+            n += 1.0;
+        }
+        let each = 1.0 / n.max(1.0);
+        Self { planned: sum.planned * each, joined: sum.joined * each, held: sum.held * each }
     }
 }
 
@@ -159,11 +155,20 @@ impl<'e> EpisodeAttention<'e> {
         received
     }
 
-    /// Returns the block that each block attends to most after `n_done` steps, and the share; `None` for a gripper.
-    pub fn most(&self, source: AttentionSource, n_done: usize) -> Option<[(BlockIdx, f32); N_BLOCKS]> {
-        let AttentionSource::Head { layer, head } = source else { return None };
+    /// Returns the block that each block attends to most after `n_done` steps, and the share: by a source, or by the mean
+    /// over the heads of the last layer. `None` for a gripper.
+    pub fn most(&self, source: Option<AttentionSource>, n_done: usize) -> Option<[(BlockIdx, f32); N_BLOCKS]> {
+        let (layer, heads) = match source {
+            Some(AttentionSource::Gripper(_)) => return None,
+            Some(AttentionSource::Head { layer, head }) => (layer, head..head + 1),
+            None => (self.n_layers() - 1, 0..self.n_heads()),
+        };
+        let share = |from, to: BlockIdx| {
+            let weights = heads.clone().map(|head| self.scenes[n_done].row(layer, head, from)[to.get()]);
+            weights.sum::<f32>() / heads.len() as f32
+        };
         Some(BlockIdx::array(|block| {
-            let shares = BlockIdx::all().zip(self.scenes[n_done].row(layer, head, block).iter().copied());
+            let shares = BlockIdx::all().map(|other| (other, share(block, other)));
             shares.max_by(|(_, a), (_, b)| a.total_cmp(b)).expect("there are blocks")
         }))
     }
@@ -191,7 +196,7 @@ impl<'e> EpisodeAttention<'e> {
                     |joint: &proto::Joint| [(joint.a, joint.b), (joint.b, joint.a)].contains(&(receiver, sender));
                 shares.planned += if goal.link(receiver, sender).is_some() { weight } else { 0.0 };
                 shares.joined += if scene.joints.iter().any(is_joined) { weight } else { 0.0 };
-                shares.held += if is_held(scene, sender) { weight } else { 0.0 };
+                shares.held += if holder(scene, sender).is_some() { weight } else { 0.0 };
             }
         }
         shares
@@ -209,10 +214,7 @@ impl<'e> EpisodeAttention<'e> {
         let received = self.received(source, n_done);
         let mut blocks = of_scene(scene);
         for block in &mut blocks {
-            let frame = match block.finish {
-                Finish::Framed(color) => Some(color),
-                _ => None,
-            };
+            let frame = holder(scene, block.block).map(|gripper| GRIPPER_COLORS[gripper]);
             block.finish = Finish::Shaded { fill: shade(received[block.block.get()]), frame };
         }
         let mut image = stage.paint(painter, &blocks, n_done as f32);
@@ -233,10 +235,6 @@ impl<'e> EpisodeAttention<'e> {
     }
 }
 
-fn is_held(scene: &Scene, block: BlockIdx) -> bool {
-    scene.grippers.iter().flatten().any(|gripper| gripper.held == Some(block))
-}
-
 /// Returns the color of a share of attention.
 pub(super) fn shade(share: f32) -> Rgb {
     // Uniform attention, 1 of 15, should look pale but different from none.
@@ -250,7 +248,7 @@ impl AttentionSource {
         match self {
             Self::Gripper(_) if n_grippers == 1 => ("gripper's choice".to_owned(), GRIPPER_COLORS[0]),
             Self::Gripper(idx) => (format!("gripper {}'s choice", idx + 1), GRIPPER_COLORS[idx]),
-            Self::Head { .. } => (self.to_string(), super::frames::INK),
+            Self::Head { .. } => (self.to_string(), INK),
         }
     }
 }

@@ -152,16 +152,11 @@ impl Episode {
     /// Returns the scene at a time in seconds; block poses are interpolated between steps.
     pub(super) fn scene_at(&self, time_s: f32) -> Scene {
         let n_done = self.n_done(time_s);
-        let Some(after) = self.scenes.get(n_done + 1) else { return self.scenes[n_done].clone() };
+        let before = &self.scenes[n_done];
         let share = (time_s / STEP_S - n_done as f32).clamp(0.0, 1.0);
-        if share < 1e-3 {
-            return self.scenes[n_done].clone();
-        }
-        let mut scene = after.clone();
-        for (pose, before) in scene.blocks.iter_mut().zip(&self.scenes[n_done].blocks) {
-            *pose = between(before, pose, share);
-        }
-        scene
+        let Some(after) = self.scenes.get(n_done + 1).filter(|_| share >= 1e-3) else { return before.clone() };
+        let blocks = std::array::from_fn(|i| between(&before.blocks[i], &after.blocks[i], share));
+        Scene { blocks, ..after.clone() }
     }
 }
 

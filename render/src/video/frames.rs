@@ -5,17 +5,15 @@ use proto::{Scene, Status};
 
 use super::episode::{Episode, STEP_S};
 use super::stage::Stage;
-use crate::picture::text::{Type, fitted, write};
-use crate::picture::{Camera, GRIPPER_COLORS, Ground, Image, Painter, Rgb, View, WHITE, corners, of_blueprint};
+use crate::picture::text::{GRAY, INK, Type, fitted, write};
+use crate::picture::{GRIPPER_COLORS, Image, Painter, Rgb, View, WHITE, draw_blueprint};
 
 /// Minimum width of a frame in pixels, so that the text fits.
 pub const MIN_WIDTH: usize = 480;
 /// Maximum width of a frame in pixels; the font is too small for larger frames.
 pub const MAX_WIDTH: usize = 1920;
 
-pub(super) const INK: Rgb = [34, 38, 50];
-pub(super) const GRAY: Rgb = [104, 110, 126];
-pub(super) const HAIRLINE: Rgb = [214, 219, 228];
+const HAIRLINE: Rgb = [214, 219, 228];
 const PANEL: Rgb = [244, 246, 250];
 const TRACK: Rgb = [222, 226, 235];
 const GREEN: Rgb = [24, 132, 84];
@@ -127,7 +125,7 @@ impl<'a> Video<'a> {
 }
 
 /// Returns the text and color of a status.
-pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
+fn ending(status: Status) -> (&'static str, Rgb) {
     match status {
         Status::Success => ("success", GREEN),
         Status::TimeLimit => ("time is up", AMBER),
@@ -139,7 +137,7 @@ pub(super) fn ending(status: Status) -> (&'static str, Rgb) {
 /// Returns the name of the held block's type, `None` for an absent gripper.
 fn held(scene: &Scene, gripper_idx: usize) -> Option<&'static str> {
     let gripper = scene.grippers[gripper_idx].as_ref()?;
-    Some(gripper.held.map_or("free", |block| Inventory::standard().block_type(block).name.as_str()))
+    Some(gripper.held.map_or("free", |block| Inventory::standard().block_type(block).name))
 }
 
 /// Draws a line with a name on the left and a value on the right.
@@ -148,14 +146,18 @@ fn row(image: &mut Image, [x, y]: [usize; 2], room: usize, words: Type, name: &s
     write(image, [(x + room).saturating_sub(words.width(value)), y], value, words, INK);
 }
 
-/// Draws a picture of the goal with this size in pixels.
-pub(super) fn goal_picture(painter: &mut Painter, episode: &Episode, [width, height]: [usize; 2]) -> Image {
-    let blocks = of_blueprint(episode.goal());
-    let shorter = width.min(height) as f32;
-    let max_px_per_m = shorter / (3.0 * blueprints::UNIT_M);
-    let view = View::FrontQuarter;
-    let camera = Camera::framing(view, &corners(&blocks), [width, height], 0.06 * shorter, max_px_per_m);
-    painter.paint(&blocks, &camera, Ground::under(&blocks))
+/// Draws a picture in a thin frame, whose upper left corner is at `[x, y]`.
+pub(super) fn framed(image: &mut Image, [x, y]: [usize; 2], picture: &Image) {
+    image.fill([x, y], [picture.width() + 2, picture.height() + 2], HAIRLINE);
+    image.paste(picture, x + 1, y + 1);
+}
+
+/// Draws a picture in a thin frame and a line of text below it; returns the position of the text.
+pub(super) fn captioned(image: &mut Image, [x, y]: [usize; 2], picture: &Image, words: &str, color: Rgb) -> [usize; 2] {
+    framed(image, [x, y], picture);
+    let below = [x + 2, y + picture.height() + 5];
+    write(image, below, &fitted(words, Type::Small, picture.width()), Type::Small, color);
+    below
 }
 
 fn panel(painter: &mut Painter, episode: &Episode, [full_width, height]: [usize; 2]) -> (Image, Layout) {
@@ -176,9 +178,9 @@ fn panel(painter: &mut Painter, episode: &Episode, [full_width, height]: [usize;
     let top = pad / 2 + bold.height() + line + 2;
     // Five lines, two gaps, and the final banner must fit below.
     let below = 6 * line + line / 3 + bold.height() + pad * 3 / 2;
-    let picture = goal_picture(painter, episode, [room, height.saturating_sub(top + below).max(1)]);
-    panel.fill([pad - 1, top - 1], [room + 2, picture.height() + 2], HAIRLINE);
-    panel.paste(&picture, pad, top);
+    let size_px = [room, height.saturating_sub(top + below).max(1)];
+    let picture = draw_blueprint(painter, goal, View::FrontQuarter, size_px);
+    framed(&mut panel, [pad - 1, top - 1], &picture);
     panel.fill([0, 0], [1, height], HAIRLINE);
     let layout = Layout { pad, width, words, bold, line, score_top: top + picture.height() + pad / 2 };
     (panel, layout)

@@ -35,10 +35,15 @@ pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>,
             return Err(VideoError::Size { width: image.width(), height: image.height() });
         }
         let [x, y] = last.as_ref().map_or([[0, width], [0, height]], |last| changed(last, &image));
-        let (pixels, stays) = cut(last.as_ref(), &image, x, y);
+        let pixels = part(&image, x, y);
         let palette = Palette::of(&pixels, N_COLORS);
         let mut numbers = palette.indices(&pixels);
-        numbers.iter_mut().zip(stays).filter(|(_, stays)| *stays).for_each(|(number, _)| *number = N_COLORS as u8);
+        if let Some(last) = &last {
+            let before = part(last, x, y);
+            let both = before.iter().zip(&pixels);
+            let unchanged = numbers.iter_mut().zip(both).filter(|(_, (before, pixel))| before == pixel);
+            unchanged.for_each(|(number, _)| *number = N_COLORS as u8);
+        }
         let mut colors = palette.colors().to_vec();
         colors.resize(N_COLORS + 1, [0; 3]);
         // Hundredths of a second, rounded so that errors do not accumulate.
@@ -77,15 +82,8 @@ fn changed(last: &Image, image: &Image) -> [[usize; 2]; 2] {
     if y[1] == 0 { [[0, 1], [0, 1]] } else { [x, y] }
 }
 
-/// Returns the pixels of a part of an image, and which of them are unchanged.
-fn cut(last: Option<&Image>, image: &Image, x: [usize; 2], y: [usize; 2]) -> (Vec<Rgb>, Vec<bool>) {
-    let part = |of: &Image| -> Vec<Rgb> {
-        of.pixels().chunks_exact(of.width()).take(y[1]).skip(y[0]).flat_map(|row| &row[x[0]..x[1]]).copied().collect()
-    };
-    let pixels = part(image);
-    let stays = match last {
-        Some(last) => part(last).iter().zip(&pixels).map(|(a, b)| a == b).collect(),
-        None => vec![false; pixels.len()],
-    };
-    (pixels, stays)
+/// Returns the pixels of a part of an image.
+fn part(image: &Image, x: [usize; 2], y: [usize; 2]) -> Vec<Rgb> {
+    let rows = image.pixels().chunks_exact(image.width()).take(y[1]).skip(y[0]);
+    rows.flat_map(|row| &row[x[0]..x[1]]).copied().collect()
 }

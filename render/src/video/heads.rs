@@ -1,10 +1,10 @@
 //! Videos and strips of attention: the attention that every head of every layer pays to the blocks over an episode.
 
 use super::attention::{AttentionSource, EpisodeAttention, FULL, Shares, shade};
-use super::frames::{GRAY, HAIRLINE, INK, goal_picture};
+use super::frames::{captioned, framed};
 use super::stage::Stage;
-use crate::picture::text::{Type, fitted, write};
-use crate::picture::{Image, Painter, Rgb, WHITE};
+use crate::picture::text::{GRAY, INK, Type, fitted, write};
+use crate::picture::{Image, Painter, Rgb, View, WHITE, draw_blueprint};
 
 /// Minimum number of pictures in a row of a video: world, goal, and two grippers.
 const MIN_COLUMNS: usize = 4;
@@ -22,9 +22,6 @@ const LAST_S: f32 = 1.5;
 
 const TRACK: Rgb = [226, 230, 238];
 
-/// Names and colors of [`Shares`].
-const SHARES: [(&str, Rgb); 3] = [("plan", [24, 132, 84]), ("join", [30, 60, 130]), ("held", [214, 0, 110])];
-
 /// Draws frames of an episode with one picture per head.
 #[derive(Debug)]
 pub struct AttentionVideo<'g> {
@@ -32,7 +29,7 @@ pub struct AttentionVideo<'g> {
     stage: Stage,
     painter: Painter,
     goal: Image,
-    n_columns: usize,
+    /// Width and height of a picture with its frame.
     tile_px: [usize; 2],
     size_px: [usize; 2],
 }
@@ -47,9 +44,10 @@ impl<'g> AttentionVideo<'g> {
         let tile_px = [tile_width, tile_width * 9 / 16];
         let height = (attention.n_layers() + 1) * (tile_px[1] + FOOT) + LEGEND;
         let mut painter = Painter::default();
-        let goal = goal_picture(&mut painter, attention.episode, tile_px);
-        let stage = Stage::new(attention.episode, tile_px);
-        Self { attention, stage, painter, goal, n_columns, tile_px, size_px: [width, height.next_multiple_of(2)] }
+        let inside = tile_px.map(|side| side - 2);
+        let goal = draw_blueprint(&mut painter, attention.episode.goal(), View::FrontQuarter, inside);
+        let stage = Stage::new(attention.episode, inside);
+        Self { attention, stage, painter, goal, tile_px, size_px: [width, height.next_multiple_of(2)] }
     }
 
     /// Returns all frames in order, `fps` (at least 1) per second, with a pause on the last one.
@@ -70,25 +68,27 @@ impl<'g> AttentionVideo<'g> {
     /// Returns the frame after `n_done` steps; attention is not interpolated between steps.
     fn frame(&mut self, n_done: usize) -> Image {
         let (attention, episode) = (self.attention, self.attention.episode);
+        let [width, height] = self.tile_px;
+        let corner = |column: usize, row: usize| [column * (width + GAP), row * (height + FOOT)];
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
         let world = self.stage.picture(&mut self.painter, &episode.scenes()[n_done], n_done as f32);
         let n_links = episode.goal().links().len();
         let step = episode.first_step() + n_done;
         let words = format!("step {step}: {}/{n_links} connected", episode.n_connected(n_done));
-        self.place(&mut image, [0, 0], &world, &words, INK);
+        captioned(&mut image, corner(0, 0), &world, &words, INK);
         let goal = format!("goal: {}", episode.goal().id());
-        self.place(&mut image, [1, 0], &self.goal, &goal, INK);
+        captioned(&mut image, corner(1, 0), &self.goal, &goal, INK);
         for source in attention.sources() {
             let picture = attention.picture(source, n_done, &self.stage, &mut self.painter);
             match source {
                 AttentionSource::Gripper(gripper) => {
                     let (words, color) = source.caption(attention.n_grippers());
-                    self.place(&mut image, [2 + gripper, 0], &picture, &words, color);
+                    captioned(&mut image, corner(2 + gripper, 0), &picture, &words, color);
                 }
                 AttentionSource::Head { layer, head } => {
                     let words = format!("{}.{}", layer + 1, head + 1);
-                    let [left, top] = self.place(&mut image, [head, layer + 1], &picture, &words, INK);
-                    let room = self.tile_px[0].saturating_sub(36);
+                    let [left, top] = captioned(&mut image, corner(head, layer + 1), &picture, &words, INK);
+                    let room = width.saturating_sub(36);
                     bars(&mut image, [left + 36, top], room, attention.shares(layer, head, n_done));
                 }
             }
@@ -96,23 +96,6 @@ impl<'g> AttentionVideo<'g> {
         let top = self.size_px[1] - LEGEND + 4;
         legend(&mut image, [2, top]);
         image
-    }
-
-    /// Draws a picture in a column and row, and returns the position of the text below it.
-    fn place(
-        &self,
-        image: &mut Image,
-        [column, row]: [usize; 2],
-        picture: &Image,
-        words: &str,
-        color: Rgb,
-    ) -> [usize; 2] {
-        let [width, height] = self.tile_px;
-        let x = column.min(self.n_columns - 1) * (width + GAP);
-        let y = row * (height + FOOT);
-        put(image, [x, y], picture);
-        write(image, [x + 2, y + height + 3], &fitted(words, Type::Small, width), Type::Small, color);
-        [x + 2, y + height + 3]
     }
 }
 
@@ -128,20 +111,21 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
     let height = FOOT + (sources.len() + 1) * step_px[1] + LEGEND;
     let mut image = Image::filled(MARGIN + n_moments * step_px[0], height, WHITE);
     let mut painter = Painter::default();
-    let goal = goal_picture(&mut painter, episode, [MARGIN - 12, tile_px[1]]);
-    put(&mut image, [0, FOOT], &goal);
+    let inside = tile_px.map(|side| side - 2);
+    let goal = draw_blueprint(&mut painter, episode.goal(), View::FrontQuarter, [MARGIN - 14, inside[1]]);
+    framed(&mut image, [0, FOOT], &goal);
     let words = format!("goal: {}", episode.goal().id());
     write(&mut image, [2, 2], &fitted(&words, Type::Small, MARGIN), Type::Small, INK);
-    let stage = Stage::new(episode, tile_px);
+    let stage = Stage::new(episode, inside);
     for moment in 0..n_moments {
         let n_done = moment * episode.n_steps() / (n_moments - 1);
         let x = MARGIN + moment * step_px[0];
         let words = format!("step {}", episode.first_step() + n_done);
         write(&mut image, [x + 2, 2], &fitted(&words, Type::Small, tile_px[0]), Type::Small, GRAY);
-        put(&mut image, [x, FOOT], &stage.picture(&mut painter, &episode.scenes()[n_done], n_done as f32));
+        framed(&mut image, [x, FOOT], &stage.picture(&mut painter, &episode.scenes()[n_done], n_done as f32));
         for (row, source) in sources.iter().enumerate() {
             let picture = attention.picture(*source, n_done, &stage, &mut painter);
-            put(&mut image, [x, FOOT + (row + 1) * step_px[1]], &picture);
+            framed(&mut image, [x, FOOT + (row + 1) * step_px[1]], &picture);
         }
     }
     for (row, source) in sources.iter().enumerate() {
@@ -149,11 +133,8 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
         let (words, color) = source.caption(attention.n_grippers());
         write(&mut image, [2, y + 4], &fitted(&words, Type::Small, MARGIN), Type::Small, color);
         let AttentionSource::Head { layer, head } = *source else { continue };
-        let each = 1.0 / episode.scenes().len() as f32;
-        let of_scene = |n_done| attention.shares(layer, head, n_done).times(each);
-        let mean = (0..episode.scenes().len()).map(of_scene).fold(Shares::default(), Shares::plus);
-        let shares = [mean.planned, mean.joined, mean.held];
-        for (i, ((name, color), share)) in SHARES.into_iter().zip(shares).enumerate() {
+        let mean = Shares::mean((0..attention.n_scenes()).map(|n_done| attention.shares(layer, head, n_done)));
+        for (i, (name, color, share)) in named(mean).into_iter().enumerate() {
             let top = y + 24 + i * 18;
             if top + 16 < y + tile_px[1] {
                 bar(&mut image, [8, top], MARGIN - 24, name, share, color);
@@ -164,24 +145,16 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
     image
 }
 
-fn put(image: &mut Image, [x, y]: [usize; 2], picture: &Image) {
-    image.paste(picture, x, y);
-    let (width, height) = (picture.width(), picture.height());
-    for (at, size) in [
-        ([x, y], [width, 1]),
-        ([x, y + height - 1], [width, 1]),
-        ([x, y], [1, height]),
-        ([x + width - 1, y], [1, height]),
-    ] {
-        image.fill(at, size, HAIRLINE);
-    }
+/// Returns the shares with their names and colors.
+fn named(Shares { planned, joined, held }: Shares) -> [(&'static str, Rgb, f32); 3] {
+    [("plan", [24, 132, 84], planned), ("join", [30, 60, 130], joined), ("held", [214, 0, 110], held)]
 }
 
 /// Draws the three shares side by side.
 fn bars(image: &mut Image, [x, y]: [usize; 2], width: usize, shares: Shares) {
-    let each = width / SHARES.len();
-    let shares = [shares.planned, shares.joined, shares.held];
-    for (i, ((name, color), share)) in SHARES.into_iter().zip(shares).enumerate() {
+    let shares = named(shares);
+    let each = width / shares.len();
+    for (i, (name, color, share)) in shares.into_iter().enumerate() {
         bar(image, [x + i * each, y], each.saturating_sub(8), name, share, color);
     }
 }

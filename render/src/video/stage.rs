@@ -1,11 +1,10 @@
 //! Views an episode through a camera that follows the construction.
 
-use blueprints::{BlockIdx, N_BLOCKS};
 use nalgebra::{Point3, Vector2};
 use proto::Scene;
 
 use super::episode::Episode;
-use crate::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, Window, corners, of_scene};
+use crate::picture::{Block, Camera, Ground, Image, Painter, Rgb, View, Window, corners, holder, of_scene};
 
 /// Loose blocks farther than this from the middle of the goal's blocks, in meters along x or y, are not framed, so that
 /// a block that was thrown away does not shrink the others.
@@ -104,26 +103,21 @@ impl Stage {
 /// Returns the blocks to frame after `n_done` steps.
 fn framed(episode: &Episode, n_done: usize) -> Vec<Block> {
     let scene = &episode.scenes()[n_done];
-    let mut is_goal = [false; N_BLOCKS];
-    episode.goal().placements().iter().for_each(|placement| is_goal[placement.block.get()] = true);
+    let goal = episode.goal().placements();
     let median = |axis: usize| {
-        let mut values: Vec<f32> = BlockIdx::all()
-            .filter(|block| is_goal[block.get()])
-            .map(|block| scene.blocks[block.get()].position[axis])
-            .collect();
+        let mut values: Vec<f32> = goal.iter().map(|place| scene.blocks[place.block.get()].position[axis]).collect();
         values.sort_by(f32::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or_default()
     };
     let middle = Vector2::new(median(0), median(1));
     let piece = episode.largest_piece(n_done);
-    let is_held = |block: BlockIdx| scene.grippers.iter().flatten().any(|gripper| gripper.held == Some(block));
     let is_wanted = |block: &Block| {
         let at = block.pose.translation.vector;
         let is_near = (at.xy() - middle).amax() < REACH_M;
         // These comparisons are false for NaN, so a diverged block counts as far away.
-        is_goal[block.block.get()]
+        goal.iter().any(|place| place.block == block.block)
             && at.iter().all(|value| value.abs() < WORLD_M)
-            && (is_near || piece.contains(&block.block) || is_held(block.block))
+            && (is_near || piece.contains(&block.block) || holder(scene, block.block).is_some())
     };
     of_scene(scene).into_iter().filter(is_wanted).collect()
 }
@@ -183,7 +177,7 @@ fn hold(needed: &[Option<Window>], aspect: f32) -> Vec<Option<Window>> {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::{Blueprint, Catalog};
+    use blueprints::{BlockIdx, Blueprint, Catalog};
     use proto::{Joint, Pose, Trajectory};
 
     use super::super::tests::segment;

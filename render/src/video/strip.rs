@@ -3,10 +3,10 @@
 use proto::Status;
 
 use super::episode::Episode;
-use super::frames::{GRAY, HAIRLINE, INK, goal_picture};
+use super::frames::captioned;
 use super::stage::{SETTLING_STEPS, Stage};
-use crate::picture::text::{Type, fitted, write};
-use crate::picture::{Image, Painter, Rgb, WHITE};
+use crate::picture::text::{GRAY, INK};
+use crate::picture::{Image, Painter, View, WHITE, draw_blueprint};
 
 /// Number of pictures in a row.
 const N_COLUMNS: usize = 4;
@@ -25,30 +25,22 @@ pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let full_height = n_rows * (height + FOOT + GAP) - GAP;
     let mut image = Image::filled(N_COLUMNS * (tile + GAP) - GAP, full_height, WHITE);
     let mut painter = Painter::default();
-    let place = |image: &mut Image, i: usize, picture: &Image, words: &str, color: Rgb| {
-        let x = i % N_COLUMNS * (tile + GAP);
-        let y = i / N_COLUMNS * (height + FOOT + GAP);
-        image.fill([x, y], [tile, height], HAIRLINE);
-        image.paste(picture, x + 1, y + 1);
-        write(image, [x + 2, y + height + 4], &fitted(words, Type::Small, tile - 2), Type::Small, color);
-    };
+    let corner = |i: usize| [i % N_COLUMNS * (tile + GAP), i / N_COLUMNS * (height + FOOT + GAP)];
     let inside = [tile - 2, height - 2];
-    let goal = goal_picture(&mut painter, episode, inside);
-    place(&mut image, 0, &goal, &format!("goal: {}", episode.goal().id()), INK);
+    let goal = draw_blueprint(&mut painter, episode.goal(), View::FrontQuarter, inside);
+    captioned(&mut image, corner(0), &goal, &format!("goal: {}", episode.goal().id()), INK);
     let stage = Stage::new(episode, inside);
     let n_links = episode.goal().links().len();
     for i in 0..n_frames {
         let n_done = i * episode.n_steps() / (n_frames - 1);
+        let is_last = i + 1 == n_frames;
         // The last picture shows the scene after the camera has settled.
-        let settled = if i + 1 == n_frames { SETTLING_STEPS } else { 0 };
+        let settled = if is_last { SETTLING_STEPS } else { 0 };
         let picture = stage.picture(&mut painter, &episode.scenes()[n_done], (n_done + settled) as f32);
-        let end = match episode.status() {
-            Status::Success if i + 1 == n_frames => ", success",
-            _ => "",
-        };
+        let end = if is_last && episode.status() == Status::Success { ", success" } else { "" };
         let step = episode.first_step() + n_done;
         let words = format!("step {step}: {}/{n_links} connected{end}", episode.n_connected(n_done));
-        place(&mut image, i + 1, &picture, &words, GRAY);
+        captioned(&mut image, corner(i + 1), &picture, &words, GRAY);
     }
     image
 }

@@ -1,9 +1,5 @@
 //! Evaluations read back whole or not at all.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
-
 use blueprints::Split;
 use proto::metrics::{EvalOutcome, EvalResetFree, EvalRuns};
 
@@ -21,26 +17,16 @@ fn large(n_env_steps: u64) -> Evaluation {
     evaluation(n_env_steps, &scores)
 }
 
-fn path(folder: &tempfile::TempDir) -> PathBuf {
-    folder.path().join("new/run").join("eval.db")
-}
-
-/// Opens a history that was just closed. A process that another test starts in that moment has a copy of the lock until it
-/// becomes another program.
-fn open_again(path: &Path) -> Result<History, HistoryError> {
-    let deadline = Instant::now() + Duration::from_secs(20);
-    loop {
-        match History::open(path) {
-            Err(HistoryError::Taken(_)) if Instant::now() < deadline => std::thread::yield_now(),
-            opened => return opened,
-        }
-    }
+/// Returns the path of a history in a new temporary folder.
+fn place() -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("new/run").join("eval.db");
+    (folder, path)
 }
 
 #[test]
 fn evaluations_round_trip() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = path(&folder);
+    let (_folder, path) = place();
     let mut first = small(0);
     first.blueprints[1].sampled = outcome(10);
     first.blueprints[1].greedy = EvalOutcome::default();
@@ -65,35 +51,34 @@ fn evaluations_round_trip() {
     drop(history);
     assert_eq!(History::read(&path).unwrap(), [first.clone(), second.clone()]);
     let third = small(0);
-    open_again(&path).unwrap().append(&third).unwrap();
+    History::open(&path).unwrap().append(&third).unwrap();
     assert_eq!(History::read(&path).unwrap(), [first, second, third]);
 }
 
 #[test]
 fn nan_returns_round_trip() {
-    let folder = tempfile::tempdir().unwrap();
+    let (_folder, path) = place();
     let mut evaluation = small(0);
     evaluation.blueprints[0].greedy.mean_return.force = f32::NAN;
-    History::open(&path(&folder)).unwrap().append(&evaluation).unwrap();
-    let found = History::read(&path(&folder)).unwrap();
+    History::open(&path).unwrap().append(&evaluation).unwrap();
+    let found = History::read(&path).unwrap();
     let terms = found[0].blueprints[0].greedy.mean_return;
     assert!(terms.force.is_nan() && terms.connected == 1.3, "{terms:?}");
 }
 
 #[test]
 fn second_writer_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let first = History::open(&path(&folder)).unwrap();
-    assert!(matches!(History::open(&path(&folder)), Err(HistoryError::Taken(_))));
+    let (_folder, path) = place();
+    let first = History::open(&path).unwrap();
+    assert!(matches!(History::open(&path), Err(HistoryError::Taken(_))));
     drop(first);
-    open_again(&path(&folder)).unwrap();
+    History::open(&path).unwrap();
 }
 
 /// Copies the database and its journal from the disk while an evaluation is half written, with some pages in the file.
 #[test]
 fn torn_write_keeps_earlier_evaluations() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = path(&folder);
+    let (folder, path) = place();
     let mut history = History::open(&path).unwrap();
     history.append(&large(0)).unwrap();
     let journal = |path: &Path| PathBuf::from(format!("{}-journal", path.display()));
@@ -116,39 +101,6 @@ fn torn_write_keeps_earlier_evaluations() {
     assert_eq!(History::read(&torn).unwrap(), [large(0), large(10)]);
 }
 
-/// Starts this test as a child process that writes forever, and kills it.
-#[cfg(unix)]
-#[test]
-fn killed_writer_leaves_complete_evaluations() {
-    const FILE: &str = "LODESTONE_TEST_HISTORY";
-    if let Some(path) = std::env::var_os(FILE) {
-        let mut history = History::open(Path::new(&path)).unwrap();
-        for i in 0.. {
-            history.append(&large(i)).unwrap();
-            println!("\nwritten {i}");
-        }
-    }
-    let folder = tempfile::tempdir().unwrap();
-    let path = path(&folder);
-    let mut child = Command::new(std::env::current_exe().unwrap())
-        .args(["history::tests::killed_writer_leaves_complete_evaluations", "--exact", "--nocapture"])
-        .env(FILE, &path)
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
-    lines.find(|line| line == "written 9").unwrap();
-    // The child is now writing the eleventh evaluation, or a later one.
-    child.kill().unwrap();
-    child.wait().unwrap();
-    let mut history = History::open(&path).unwrap();
-    let evaluations = History::read(&path).unwrap();
-    assert!(evaluations.len() >= 10, "{}", evaluations.len());
-    let expected: Vec<Evaluation> = (0..evaluations.len() as u64).map(large).collect();
-    assert_eq!(evaluations, expected);
-    history.append(&small(1000)).unwrap();
-}
-
 #[test]
 fn other_databases_and_versions_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -163,7 +115,7 @@ fn other_databases_and_versions_are_refused() {
         ("text.db", &["text.db", "not a database"]),
     ] {
         let before = std::fs::read(file(name)).unwrap();
-        for refused in [History::read(&file(name)).unwrap_err(), open_again(&file(name)).unwrap_err()] {
+        for refused in [History::read(&file(name)).unwrap_err(), History::open(&file(name)).unwrap_err()] {
             let message = refused.to_string();
             for word in words {
                 assert!(message.contains(word), "no {word:?} in {message}");
@@ -177,9 +129,9 @@ fn other_databases_and_versions_are_refused() {
 
 #[test]
 fn inconsistent_counts_are_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    History::open(&path(&folder)).unwrap().append(&small(0)).unwrap();
-    Connection::open(path(&folder)).unwrap().execute("UPDATE outcome SET n_successes = 11", []).unwrap();
-    let message = History::read(&path(&folder)).unwrap_err().to_string();
+    let (_folder, path) = place();
+    History::open(&path).unwrap().append(&small(0)).unwrap();
+    Connection::open(&path).unwrap().execute("UPDATE outcome SET n_successes = 11", []).unwrap();
+    let message = History::read(&path).unwrap_err().to_string();
     assert!(message.contains("11 n_successes in 10 episodes"), "{message}");
 }

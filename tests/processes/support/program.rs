@@ -6,9 +6,26 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
-/// The program, in `folder` and without the caller's `LODESTONE_*` variables and `RUST_LOG`.
+/// The path of the program.
+pub(crate) const LODESTONE: &str = env!("CARGO_BIN_EXE_lodestone");
+
+/// Settings with which a training takes seconds: updates of 256 steps, and a tiny network.
+pub(crate) const SMALL: [&str; 5] = [
+    "--set=learner.batch_size=256",
+    "--set=actor.n_worlds=8",
+    "--set=evaluator.episodes.n_episodes=2",
+    "--set=policy.network.width=16",
+    "--set=policy.network.value_hidden=[16]",
+];
+
+/// [`LODESTONE`] as a [`command`].
 pub(crate) fn lodestone(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_lodestone"));
+    command(LODESTONE, folder)
+}
+
+/// A program in `folder`, without the caller's `LODESTONE_*` variables and `RUST_LOG`.
+pub(crate) fn command(program: &str, folder: &Path) -> Command {
+    let mut command = Command::new(program);
     for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("LODESTONE_") || name == "RUST_LOG") {
         command.env_remove(name);
     }
@@ -86,7 +103,6 @@ pub(crate) fn names(folder: &Path) -> Vec<String> {
 
 /// Environment steps of a run's newest checkpoint.
 pub(crate) fn n_saved_steps(run_dir: &Path) -> u64 {
-    let folders = std::fs::read_dir(run_dir.join("checkpoints")).unwrap();
-    let names = folders.map(|folder| folder.unwrap().file_name().into_string().unwrap());
+    let names = names(&run_dir.join("checkpoints")).into_iter();
     names.filter_map(|name| name.strip_prefix("step-")?.parse().ok()).max().unwrap()
 }

@@ -6,7 +6,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 
 use ureq::Agent;
 
-use super::program::{kill, lodestone};
+use super::program::{SMALL, kill, lodestone};
 
 /// A process that is killed when dropped.
 pub(crate) struct Process(pub(crate) Child);
@@ -26,18 +26,8 @@ pub(crate) fn interrupt(process: &Process) {
 
 /// Adds the arguments of the smallest training with evaluations.
 pub(crate) fn train(command: &mut Command) -> &mut Command {
-    command.args(["train", "--preset", "smoke", "--run-dir", "run"]);
-    for setting in [
-        "learner.batch_size=256",
-        "actor.n_worlds=8",
-        "evaluator.episodes.n_episodes=2",
-        "evaluator.episodes.acting=[\"greedy\"]",
-        "policy.network.width=16",
-        "policy.network.value_hidden=[16]",
-    ] {
-        command.args(["--set", setting]);
-    }
-    command
+    command.args(["train", "--preset", "smoke", "--run-dir", "run"]).args(SMALL);
+    command.args(["--set", "evaluator.episodes.acting=[\"greedy\"]"])
 }
 
 /// Starts the program and reads what it prints up to the address of its page; returns both with the rest.

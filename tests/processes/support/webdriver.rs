@@ -18,6 +18,12 @@ const PATIENCE_MS: u64 = 120_000;
 /// other; if another process holds that one, it exits.
 const DRIVER_STARTS: usize = 10;
 
+// Keys, as private-use code points of the protocol.
+pub(crate) const TAB: &str = "\u{e004}";
+pub(crate) const ENTER: &str = "\u{e007}";
+pub(crate) const HOME: &str = "\u{e011}";
+pub(crate) const RIGHT: &str = "\u{e014}";
+
 /// The key under which the protocol returns element ids.
 const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
 
@@ -55,8 +61,8 @@ fn start_driver(chromedriver: &std::ffi::OsStr) -> Option<(Child, u16)> {
 }
 
 impl Browser {
-    /// Starts `chromedriver` and a browser with a new profile in `folder`.
-    pub(crate) fn start(chromedriver: &std::ffi::OsStr, folder: &Path) -> Self {
+    /// Starts `chromedriver` and a browser with a new profile in `folder`, and opens `url`.
+    pub(crate) fn start(chromedriver: &std::ffi::OsStr, folder: &Path, url: &str) -> Self {
         let (driver, port) = (0..DRIVER_STARTS)
             .find_map(|_| start_driver(chromedriver))
             .expect("chromedriver ended at each start without naming its port");
@@ -76,6 +82,7 @@ impl Browser {
         } } });
         let session = browser.post("", &wanted);
         browser.session += &format!("/{}", session["sessionId"].as_str().unwrap());
+        browser.open(url);
         browser
     }
 
@@ -189,13 +196,8 @@ impl Element<'_> {
         self.browser.post(&format!("/element/{}/value", self.id), &json!({ "text": keys }));
     }
 
-    /// Presses the mouse button at the element's center, moves it by this many pixels, and releases it.
-    pub(crate) fn drag(&self, by: [i32; 2]) {
-        self.drag_from([0, 0], by);
-    }
-
-    /// Does the same from so many pixels beside the center.
-    pub(crate) fn drag_from(&self, from: [i64; 2], by: [i32; 2]) {
+    /// Presses the mouse button so many pixels beside the element's center, moves it by this many, and releases it.
+    pub(crate) fn drag(&self, from: [i64; 2], by: [i32; 2]) {
         let middle = json!({ "type": "pointerMove", "origin": { ELEMENT: self.id }, "x": from[0], "y": from[1] });
         let moved = json!({ "type": "pointerMove", "origin": "pointer", "x": by[0], "y": by[1] });
         let [down, up] = ["pointerDown", "pointerUp"].map(|kind| json!({ "type": kind, "button": 0 }));

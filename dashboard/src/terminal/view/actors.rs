@@ -78,14 +78,13 @@ fn row(id: &ActorId, actor: &Actor, now: Duration) -> Line<'static> {
         None => format!("  {id:<NAME_WIDTH$} {state:<5} has said nothing so far"),
         Some(heard) => {
             let metrics = &heard.value;
-            let n_dropped = total(&metrics.dropped);
             format!(
                 "  {id:<NAME_WIDTH$} {state:<5} {:>8} {:>8} {:>4} {:>9} {:>8}  {}{}",
                 rate(metrics.env_steps_per_s),
                 metrics.weights_version.0,
                 metrics.policy_lag,
                 count(metrics.n_trajectories_acked),
-                count(n_dropped),
+                count(total(&metrics.dropped)),
                 age(now, heard.at),
                 if metrics.learner_is_there { "" } else { ", sees no learner" },
             )

@@ -174,12 +174,8 @@ pub(super) fn help() -> Vec<Line<'static>> {
         ("entropy 1 / 2 / 3", "of 1st proposal, 2nd gripper's block, 2nd proposal"),
         ("back-pressure", "segments that waited because the learner had enough"),
     ];
-    let rows = |rows: &[(&str, &str)]| -> Vec<Line<'static>> {
-        rows.iter().map(|(name, meaning)| plain(format!("  {name:<26}{meaning}"))).collect()
-    };
-    let mut lines = vec![heading("Keys".to_owned())];
-    lines.extend(rows(&keys));
-    lines.push(heading("Words".to_owned()));
-    lines.extend(rows(&words));
-    lines
+    let row = |(name, meaning): (&str, &str)| plain(format!("  {name:<26}{meaning}"));
+    let keys = [heading("Keys".to_owned())].into_iter().chain(keys.map(row));
+    let words = [heading("Words".to_owned())].into_iter().chain(words.map(row));
+    keys.chain(words).collect()
 }

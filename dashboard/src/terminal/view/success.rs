@@ -11,11 +11,13 @@ use super::format::{age, count, name, success};
 use super::styled::{columns, heading, plain};
 use crate::run_view::{RunView, success_rate};
 
+/// Names of the columns of [`success()`] by action mode.
+const GREEDY: &str = "        greedy (95 %)";
+const SAMPLED: &str = " sampled (95 %)";
+
 /// Formats the newest evaluation in lines of `width` characters.
 pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'static>> {
-    let Some(heard) = &run.evaluation else {
-        return vec![heading("Success: no evaluation so far".to_owned())];
-    };
+    let Some(heard) = &run.evaluation else { return vec![heading("Success: no evaluation so far".to_owned())] };
     let summary = &heard.value;
     let version = summary.weights_version.0;
     let n_env_steps = count(summary.n_env_steps);
@@ -29,10 +31,7 @@ pub(super) fn lines(run: &RunView, now: Duration, width: usize) -> Vec<Line<'sta
     };
     let mut lines = vec![
         heading(title),
-        columns(format!(
-            "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
-            "group", "        greedy (95 %)", "of", " sampled (95 %)", "of"
-        )),
+        columns(format!("  {:<14}  {GREEDY:<23} {:>6}  {SAMPLED:<23} {:>6}", "group", "of", "of")),
     ];
     lines.extend(summary.groups.iter().chain([&summary.all]).map(group));
     lines.extend(extremes(&run.evaluated_blueprints(), summary, width));
@@ -46,15 +45,10 @@ fn n_so_far(summary: &EvalSummary) -> Option<u64> {
 }
 
 fn group(group: &EvalGroup) -> Line<'static> {
-    let (greedy, sampled) = (&group.greedy.success, &group.sampled.success);
-    plain(format!(
-        "  {:<12}  {:<23} {:>6}  {:<23} {:>6}",
-        name(&group.name),
-        success(greedy),
-        greedy.n_episodes,
-        success(sampled),
-        sampled.n_episodes,
-    ))
+    let [greedy, sampled] = [&group.greedy.success, &group.sampled.success];
+    let [n_greedy, n_sampled] = [greedy, sampled].map(|success| success.n_episodes);
+    let (name, greedy, sampled) = (name(&group.name), success(greedy), success(sampled));
+    plain(format!("  {name:<14}  {greedy:<23} {n_greedy:>6}  {sampled:<23} {n_sampled:>6}"))
 }
 
 /// Lists all blueprints of the newest evaluation: heading and column names, and the rows in this order.
@@ -82,20 +76,12 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     }
     let row = |blueprint: &&EvalBlueprint| {
         let [greedy, sampled] = [&blueprint.greedy.success, &blueprint.sampled.success];
-        plain(format!(
-            "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
-            name(blueprint.blueprint.as_str()),
-            blueprint.n_blocks,
-            success(greedy),
-            greedy.n_episodes,
-            success(sampled),
-            sampled.n_episodes,
-        ))
+        let [n_greedy, n_sampled] = [greedy, sampled].map(|success| success.n_episodes);
+        let (id, greedy, sampled) = (name(blueprint.blueprint.as_str()), success(greedy), success(sampled));
+        let n_blocks = blueprint.n_blocks;
+        plain(format!("  {id:<16} {n_blocks:>6} {greedy:<22} {n_greedy:>3} {sampled:<22} {n_sampled:>3}"))
     };
-    let heads = columns(format!(
-        "  {:<16} {:>6} {:<22} {:>3} {:<22} {:>3}",
-        "blueprint", "blocks", "        greedy (95 %)", "of", " sampled (95 %)", "of"
-    ));
+    let heads = columns(format!("  {:<16} blocks {GREEDY:<22} {:>3} {SAMPLED:<22} {:>3}", "blueprint", "of", "of"));
     let title = heading(format!("Success by blueprint in %{evaluated}"));
     (vec![title, heads], blueprints.iter().map(row).collect())
 }

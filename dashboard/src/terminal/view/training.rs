@@ -10,9 +10,7 @@ use crate::run_view::{RunView, proposals};
 
 /// Formats the learner's newest metrics, fitted to `width` characters where lines can get long.
 pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
-    let Some(heard) = &run.learner else {
-        return vec![heading("Learning: no update so far".to_owned())];
-    };
+    let Some(heard) = &run.learner else { return vec![heading("Learning: no update so far".to_owned())] };
     let learner = &heard.value;
     let (ppo, episodes) = (&learner.ppo, &learner.episodes);
     let ended = if episodes.success.n_episodes == 0 {
@@ -26,6 +24,9 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
             episodes.mean_steps,
         )
     };
+    let [total, policy, value, norm] = [ppo.total_loss, ppo.policy_loss, ppo.value_loss, ppo.grad_norm].map(number);
+    let [kl, entropy, clipped, explained] =
+        [ppo.approx_kl, ppo.entropy, ppo.clip_fraction, ppo.explained_variance].map(number);
     let mut lines = vec![
         heading(format!(
             "Learning: weights {}, {} environment steps in {}",
@@ -40,20 +41,8 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
             learner.policy_lag_mean,
             learner.policy_lag_max,
         )),
-        plain(format!(
-            "  loss        total {}, policy {}, value {}, gradient norm {}",
-            number(ppo.total_loss),
-            number(ppo.policy_loss),
-            number(ppo.value_loss),
-            number(ppo.grad_norm),
-        )),
-        plain(format!(
-            "  policy      KL {}, entropy {}, clipped {}, explained variance {}",
-            number(ppo.approx_kl),
-            number(ppo.entropy),
-            number(ppo.clip_fraction),
-            number(ppo.explained_variance),
-        )),
+        plain(format!("  loss        total {total}, policy {policy}, value {value}, gradient norm {norm}")),
+        plain(format!("  policy      KL {kl}, entropy {entropy}, clipped {clipped}, explained variance {explained}")),
         plain(format!("  episodes    {ended}")),
     ];
     lines.extend(run.sizes.text().map(|sizes| plain(format!("  by blocks   {sizes}"))));

@@ -18,7 +18,7 @@ const NAME_WIDTH: usize = 21;
 const MIN_BARS: usize = 6;
 
 /// Metrics with a sparkline in the overview.
-const OVERVIEW: [&str; 3] = ["success, evaluated", "steps per second", "block accuracy"];
+const OVERVIEW: [&str; 2] = ["success, evaluated", "steps per second"];
 
 /// Lists all tracked metrics: newest value, range and sparkline.
 pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Line<'static>>) {

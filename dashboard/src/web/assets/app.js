@@ -5,7 +5,7 @@ import { Attention } from "./attention.js";
 import { Curves, drawGroups } from "./curves.js";
 import { Editor } from "./editor.js";
 import { askVideos, videoOf } from "./videos.js";
-import { $, count, decimal, element, interval, minutes, percent, sentence } from "./format.js";
+import { $, count, decimal, element, interval, isNumber, minutes, percent, sentence } from "./format.js";
 import { drawDrops, drawRoster, Health, toPoint } from "./health.js";
 import { Hand } from "./hand.js";
 import { Heat } from "./heat.js";
@@ -19,7 +19,10 @@ import { Stage } from "./stage.js";
 import { Terms } from "./terms.js";
 
 /** @import { Values } from "./address.js" */
-/** @import { About, Video, History, Evaluation, Roster, Row } from "./types" */
+/** @import { About, Acting, Video, History, Evaluation, Roster, Row } from "./types" */
+
+/** @type {Acting[]} */
+const ACTINGS = ["greedy", "sampled"];
 
 const options = new ChosenOptions(() => redraw("history", "learner"));
 const curves = new Curves($("curves"), options);
@@ -64,7 +67,7 @@ const editor = new Editor(stage, {
  * The address of nothing on the stage.
  * @type {Values}
  */
-const NOTHING = { blueprint: null, drawing: null, title: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, disturb: null, recording: null, step: null };
+const NOTHING = { blueprint: null, drawing: null, title: null, agent: null, both: null, mode: null, seed: null, after: null, snapshot: null, beside: null, disturb: null, recording: null, step: null, weights: null };
 const openVideo = (/** @type {Video} */ { id }) => {
   address.set({ ...NOTHING, recording: id }, true);
   stage.leave();
@@ -80,11 +83,13 @@ $("replay-ask").addEventListener("click", () => {
 $("replay-link").addEventListener("click", () => copyLink($("stage-shared")));
 $("replay-save").addEventListener("click", () => savePicture(replay));
 
-/** Shows the success of the actions that the address names, or else of those that were evaluated. */
+/** Shows the success of the actions that the address names, or else of those that are evaluated. */
 function chooseActing() {
   const named = address.get("actions");
-  const { all } = model.history.evaluations.at(-1) || model.summary || { all: null };
-  const isSampled = named ? named === "sampled" : Boolean(all?.sampled) && !all.greedy;
+  const last = model.history.evaluations.at(-1);
+  /** @type {Acting[]} */
+  const planned = last ? ACTINGS.filter((acting) => last.all[acting]) : model.about?.origin?.settings.evaluator?.episodes?.acting || ACTINGS;
+  const isSampled = named ? named === "sampled" : !planned.includes("greedy");
   model.acting = isSampled ? "sampled" : "greedy";
   /** @type {NodeListOf<HTMLInputElement>} */ ($("acting").querySelectorAll("input")).forEach((one) => { one.checked = one.value === model.acting; });
 }
@@ -97,11 +102,15 @@ function restore() {
   $("heat-find").value = address.get("find") || "";
   heat.find($("heat-find").value);
   $("replay-ghost").checked = address.get("goal") !== "hidden";
+  replay.parts.attention.restore();
   if (address.get("open") === "gallery") stage.open();
   else if ($("gallery").open) $("gallery").close();
   if ($("draw")) editor.toggle(address.get("draw") === "open");
   const recording = address.get("recording");
-  if (recording !== null) openRecording(replay, $("replay-note"), recording);
+  if (recording !== null) {
+    stage.leave();
+    openRecording(replay, $("replay-note"), recording);
+  }
   return recording !== null || stage.restore();
 }
 address.follow(restore);
@@ -188,14 +197,15 @@ function drawTiles() {
   const success = last ? last.all[model.acting] : now && now.success;
   const learner = model.learner || model.points[model.points.length - 1];
   const { kind, n_env_steps: target } = model.about || /** @type {Partial<About>} */ ({});
-  const soFar = success ? `${interval(success)}, ${success.n_episodes} episodes` : "nothing evaluated yet";
+  const trained = model.points.findLast((point) => isNumber(point.success));
+  const soFar = success ? `${interval(success)}, ${success.n_episodes} episodes` : `${trained ? "in training, " : ""}nothing evaluated yet`;
   const episodes = now ? `${success ? `${interval(success)}; ` : ""}${now.text}` : soFar;
   const isLive = model.link === "live";
   // What does not run has no speed and will not arrive.
   const isLearning = kind === "training" && isLive && model.roster.learners.length > 0;
   const left = learner && target ? (target - learner.n_env_steps) / learner.env_steps_per_s : NaN;
   const soon = isLearning && left > 0 ? `, ${minutes(left)} to go` : "";
-  const tiles = [["success", success ? percent(success.rate) : "–", episodes]];
+  const tiles = [["success", success ? percent(success.rate) : trained ? percent(trained.success) : "–", episodes]];
   // Without a learner, as when only playing a policy, these tiles have no data.
   if (kind !== "play" && (kind !== "finished" || learner)) {
     tiles.push(
@@ -242,7 +252,13 @@ function introduce(about) {
   } else if (isCopy && about.recorded.length > 0) {
     $("tiles").before($("stage"));
     stage.only = about.recorded;
-  } else return;
+  } else {
+    if (isRestored || isCopy || !about.can_play) return;
+    waitsForWeights = about.kind === "training";
+    if (waitsForWeights) $("replay-note").textContent = "An episode comes with the first weights. Or choose a blueprint to see it built.";
+    else startTrained();
+    return;
+  }
   $("replay-more").open = false;
   $("stage-onward").checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (isRestored) return;
@@ -250,11 +266,22 @@ function introduce(about) {
   else stage.start(about.first, false);
 }
 
-/** Starts the last of a copy's goals that was trained, or else its last one: goals are in order of size. */
+/** Whether the first episode of a training comes with the first weights. */
+let waitsForWeights = false;
+
+/**
+ * Starts a goal that the run trains on, or else the last one that was evaluated, unless the user was faster. Goals are in
+ * order of size, and a training learns the first ones first.
+ */
 async function startTrained() {
   if (!(await stage.learn())) return;
-  const trained = stage.blueprints.filter(({ group }) => group && group.startsWith("train"));
-  stage.start([...trained.slice(-1), ...stage.blueprints.slice(-1)][0].id, false);
+  await askHistory();
+  chooseActing();
+  if (stage.asked > 0) return;
+  const among = (/** @type {string[]} */ ids) => stage.blueprints.filter(({ id }) => ids.includes(id));
+  const [trained, evaluated] = [among(model.about.trained), among(model.history.blueprints.map(({ id }) => id))];
+  const [goal] = [...trained.slice(...(model.about.kind === "training" ? [0] : [-1])), ...evaluated.slice(-1), ...stage.blueprints.slice(-1)];
+  stage.start(goal.id, false);
 }
 
 /**
@@ -364,6 +391,12 @@ function measured({ key, payload }) {
     // The history's limit. The next evaluation reloads the earlier points, thinned out.
     if (model.points.length > 1200) model.points.splice(0, 1);
     redraw("learner");
+    snapshots.follow(payload.n_env_steps);
+    // With the second ones, the server has the first ones.
+    if (waitsForWeights && payload.weights_version > 1) {
+      waitsForWeights = false;
+      startTrained();
+    }
   } else if (key.startsWith("actor/")) {
     model.actors.set(key.slice("actor/".length), payload);
     redraw("roster");

@@ -63,11 +63,17 @@ export class Attention {
     if (!this.attention) return;
     this.blocks = episode.goal.map(([block]) => block);
     this.colors = episode.colors;
-    const before = this.parts.choice.value || address.get("eye");
     const options = ["off", ...this.attention.sources].map((name, i) => element("option", { value: String(i - 1) }, name));
     this.parts.choice.replaceChildren(...options);
-    this.parts.choice.value = options.some((option) => option.value === before) ? before : "-1";
     this.parts.note.textContent = `Attention of weights ${this.attention.weights_version}, no matter who acted. Each row is a block of the goal; the last row is all others.`;
+    this.restore();
+  }
+
+  /** Selects the source that the address names. */
+  restore() {
+    if (!this.attention) return;
+    const source = Number(address.get("eye") ?? -1);
+    this.parts.choice.value = this.attention.sources[source] ? String(source) : "-1";
     this.draw();
   }
 
@@ -81,11 +87,12 @@ export class Attention {
   }
 
   /**
-   * Returns the block that each block attends to most by the selected source, and the percent, if it tells.
+   * Returns the block that each block attends to most by the selected source, or else by the mean over the heads of the
+   * last layer, and the percent, if it tells.
    * @param {number} time in scenes
    */
   most(time) {
-    return this.attention?.most[Number(this.parts.choice.value)]?.[Math.floor(time)] || null;
+    return this.attention?.most.at(Number(this.parts.choice.value))?.[Math.floor(time)] || null;
   }
 
   draw() {

@@ -2,6 +2,7 @@
 
 import { Charts, sample } from "./chart.js";
 import { count, element, fill, interval, minutes, percent } from "./format.js";
+import { model } from "./model.js";
 import { placeOf } from "./options.js";
 
 /** @import { Curve, Spec } from "./chart.js" */
@@ -71,6 +72,18 @@ function specsOf(runs, acting, options) {
   }));
 }
 
+/** Says when the first evaluation comes. */
+function awaited() {
+  const { kind, n_env_steps: target, origin } = model.about || {};
+  if (kind !== "training") return "Nothing was evaluated.";
+  const { every = {}, evaluate_last: isLast = false } = origin?.settings.evaluator || {};
+  const { steps, versions } = every;
+  if (steps > target) return isLast ? "No evaluation yet; the only one is that of the last weights." : "This run is too short to be evaluated.";
+  if (steps) return `No evaluation yet; the first comes after ${count(steps)} environment steps.`;
+  if (versions) return `No evaluation yet; the first comes with version ${versions} of the weights.`;
+  return "No evaluation yet; the first comes after the first update.";
+}
+
 export class Curves {
   /**
    * @param {HTMLElement} place
@@ -92,7 +105,7 @@ export class Curves {
     const evaluated = runs.map((run) => ({ ...run, evaluations: run.evaluations.filter((evaluation) => evaluation.all[acting]) }));
     const n = Math.max(...evaluated.map(({ evaluations }) => evaluations.length));
     if (n === 0) {
-      const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : "No evaluation yet; the first comes with the first weights.";
+      const soFar = now ? `${percent(now.success.rate)} so far, ${now.text}.` : awaited();
       this.place.replaceChildren(element("p", { class: "empty" }, soFar));
       return;
     }

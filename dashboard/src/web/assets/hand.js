@@ -52,7 +52,8 @@ export class Hand {
     }
     parts.push.addEventListener("click", () => {
       const step = this.step(replay.main);
-      if (step !== null) this.knock(replay.main, Number(parts.block.value), step);
+      // Without WebGL, there is no camera to knock it away from.
+      if (step !== null && replay.main.space) this.knock(replay.main, Number(parts.block.value), step);
     });
     parts.undo.addEventListener("click", () => stage.calm());
     stage.played = (episodes) => this.tell(episodes);

@@ -1,7 +1,7 @@
 // The learner's metrics over time, live processes, and drop counts.
 
 import { Charts } from "./chart.js";
-import { count, decimal, fill, isNumber } from "./format.js";
+import { count, decimal, fill, isNumber, percent } from "./format.js";
 
 /** @import { Spec } from "./chart.js" */
 /** @import { Options, Run } from "./options.js" */
@@ -14,6 +14,9 @@ import { count, decimal, fill, isNumber } from "./format.js";
  * @returns {Draws}
  */
 const drawn = ({ proposals }, kind) => proposals?.kinds?.[kind] || {};
+
+/** @param {Totals} counts */
+const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total + (isNumber(n) ? n : 0), 0);
 
 /** What `history` calls the entropies of the mixture head's choices. */
 const CHOICES = [
@@ -28,6 +31,8 @@ const CHOICES = [
  * @type {Chart[]}
  */
 const HEALTH = [
+  ["success", "success in training", ({ episodes }) => (episodes?.success.n_episodes ? episodes.success.rate : undefined)],
+  ["return", "return in training", ({ episodes }) => (episodes?.success.n_episodes ? sum(episodes.mean_return) : undefined)],
   ["env_steps_per_s", "steps per second", (learner) => learner.env_steps_per_s],
   ["policy_lag_mean", "lag, versions", (learner) => learner.policy_lag_mean],
   ["policy_loss", "policy loss", (learner) => learner.ppo.policy_loss],
@@ -91,20 +96,19 @@ export class Health {
    */
   spec(runs, name, title) {
     const { axis } = this.options;
+    const isRate = name === "success";
+    const text = isRate ? percent : decimal;
     const curves = runs.map((run, look) => ({
       name: run.name, look, places: run.points.filter((point) => isNumber(point[name])).map((point) => ({ x: point[axis.name], y: point[name] })),
     }));
     const words = curves.filter(({ places }) => places.length > 0).map(({ name: run, places }) => {
       const values = places.map(({ y }) => y);
-      const range = `from ${decimal(Math.min(...values))} to ${decimal(Math.max(...values))}, now ${decimal(values[values.length - 1])}`;
+      const range = `from ${text(Math.min(...values))} to ${text(Math.max(...values))}, now ${text(values[values.length - 1])}`;
       return curves.length > 1 ? `${run} ${range}` : range;
     });
-    return { title, label: `${title}: ${words.join("; ")}`, curves, text: decimal, isRate: false, isTall: false };
+    return { title, label: `${title}: ${words.join("; ")}`, curves, text, isRate, isTall: false };
   }
 }
-
-/** @param {Totals} counts */
-const sum = (counts) => Object.values(counts || {}).reduce((total, n) => total + (isNumber(n) ? n : 0), 0);
 
 /**
  * Shows who is alive, and at what speed.

@@ -102,7 +102,8 @@ export class Replay {
       for (const view of [this.main, this.beside].slice(0, n)) await view.prepare(() => { this.follows = false; }, () => this.noteCamera(view));
       return true;
     } catch {
-      this.parts.note.textContent = "This browser cannot draw in 3D (WebGL is off or missing), or the program does not answer. The videos below do not need WebGL.";
+      const videos = $("stage-video") ? " Save video needs no WebGL." : document.querySelector("#videos figure") ? " The videos below need none." : "";
+      this.parts.note.textContent = `This browser cannot draw in 3D (WebGL is off or missing), or the program does not answer.${videos}`;
       return false;
     }
   }

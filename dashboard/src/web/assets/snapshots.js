@@ -44,6 +44,8 @@ export class Snapshots {
   other = null;
   /** Whether the episodes of all of them follow each other. */
   isThrough = false;
+  /** Environment steps of the run when the page asked last. */
+  asked = -Infinity;
 
   /**
    * @param {Parts} parts
@@ -82,6 +84,16 @@ export class Snapshots {
       // The event stream reports that the server is unreachable.
     }
     this.draw();
+  }
+
+  /**
+   * Asks again now and then while a run learns, which keeps a snapshot every eleventh of it.
+   * @param {number} nEnvSteps of the run so far
+   */
+  follow(nEnvSteps) {
+    if (Math.abs(nEnvSteps - this.asked) < model.about?.n_env_steps / 33) return;
+    this.asked = nEnvSteps;
+    this.learn();
   }
 
   /**

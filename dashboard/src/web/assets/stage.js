@@ -189,6 +189,8 @@ export class Stage {
 
   /** Makes room for what is not played here, such as a recording. */
   leave() {
+    this.asked += 1;
+    if (this.gone) this.gone.abort();
     [this.shown, this.disturbances] = [null, []];
     this.played([]);
   }
@@ -282,7 +284,7 @@ export class Stage {
   resume(disturbances, step) {
     this.disturbances = disturbances;
     this.snapshots.isThrough = this.parts.onward.checked = false;
-    address.set({ disturb: disturbances.join("_"), step: null }, true);
+    address.set({ disturb: disturbances.join("_"), step: null, weights: null }, true);
     this.perform(step);
   }
 
@@ -348,11 +350,12 @@ export class Stage {
   /** Saves the video of what is shown. */
   async saveVideo() {
     const recording = address.get("recording");
-    const [builder] = this.builders();
-    if (recording !== null) await saveVideo(answerAt(model.base, "video", recording), `${recording}.mp4`, this.parts.shared);
+    const [builder, other] = this.builders();
+    const which = other && recording === null ? ` of the left episode (${this.replay.main.episode?.caption || builder.agent})` : "";
+    if (recording !== null) await saveVideo(answerAt(model.base, "video", recording), `${recording}.mp4`, which, this.parts.shared);
     else if (this.drawn || this.chosen) {
       const url = `${model.base}/api/play.mp4?${this.wishes(builder)}`;
-      await saveVideo(url, `${this.drawn ? "drawing" : this.chosen}-${builder.agent}.mp4`, this.parts.shared, this.drawn?.file);
+      await saveVideo(url, `${this.drawn ? "drawing" : this.chosen}-${builder.agent}.mp4`, which, this.parts.shared, this.drawn?.file);
     } else this.parts.shared.textContent = "There is no episode yet.";
   }
 
@@ -366,7 +369,7 @@ export class Stage {
     address.set({
       blueprint: this.drawn ? null : this.chosen, drawing: this.drawn && this.drawn.code, title: this.drawn && this.drawn.title, agent: agent === "policy" ? null : agent, mode: mode === "greedy" ? null : mode,
       both: this.parts.both.checked ? 1 : null, ...this.snapshots.named(),
-      seed: this.seed || null, after: this.before.join(","), disturb: this.disturbances.join("_"), recording: null, step: null,
+      seed: this.seed || null, after: this.before.join(","), disturb: this.disturbances.join("_"), recording: null, step: null, weights: null,
     }, isNew);
     this.replay.leave();
     this.perform();
@@ -405,6 +408,11 @@ export class Stage {
     const nth = this.before.length > 0 ? `, goal ${this.before.length + 1} of ${IN_A_ROW} without a reset` : "";
     // The user may have renamed the drawing since the file was checked.
     this.parts.note.textContent = `${who} ${this.drawn ? this.drawn.title : title} (${blueprint}), start ${this.seed + 1}${nth}${weights}`;
+    if (model.about?.kind === "training" && actor !== "expert" && builders[0].weights === null) {
+      const linked = address.get("weights");
+      if (linked !== null && linked !== String(version)) this.parts.note.append(`. The link showed weights ${linked}; these are ${version}.`);
+      address.set({ weights: version });
+    }
     this.shown = this.order();
     this.played(episodes);
     this.parts.success.textContent = this.success(goal.length);
@@ -428,19 +436,20 @@ export class Stage {
     for (;;) {
       /** @type {Response} */
       let answer;
+      /** The episode, or what is wrong. */
+      let said;
       try {
         answer = await this.request(builder);
+        // A request that is no longer wanted can also be given up while this is read.
+        said = await (answer.ok ? answer.json() : answer.text());
       } catch {
         if (isWanted()) this.parts.note.textContent = NO_ANSWER;
         return null;
       }
-      if (answer.ok) {
-        const episode = await answer.json();
-        return isWanted() ? episode : null;
-      }
       if (!isWanted()) return null;
+      if (answer.ok) return said;
       if (answer.status !== 503) {
-        this.parts.note.textContent = await answer.text();
+        this.parts.note.textContent = said;
         return null;
       }
       this.parts.note.textContent = "Waiting for the first weights …";

@@ -96,6 +96,8 @@ export interface Learner {
   env_steps_per_s: number;
   policy_lag_mean: number;
   ppo: Record<string, number>;
+  /** Those that ended since the last report. */
+  episodes: { success: Rate; mean_return: Record<string, number> };
   proposals?: Record<string, any> & { kinds?: Record<string, Draws> };
   ingest?: Totals;
   bus?: Totals;
@@ -152,6 +154,8 @@ export interface About {
   /** Environment steps after which the run ends. */
   n_env_steps: number | null;
   blueprints: string[];
+  /** The goals that the run trains on; empty if they are not known. */
+  trained: string[];
   first: string;
   can_play: boolean;
   gripper_colors: Rgb[];
@@ -225,7 +229,10 @@ export interface Attended {
   weights_version: number;
   sources: string[];
   percent: number[][][];
-  /** By source and scene, the block that each block attends to most, and the percent; empty for a gripper. */
+  /**
+   * By source and scene, the block that each block attends to most, and the percent; empty for a gripper. The last one
+   * is by the mean over the heads of the last layer.
+   */
   most: [number, number][][][];
 }
 

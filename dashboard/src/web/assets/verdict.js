@@ -33,7 +33,9 @@ function faults({ goal, links, names }, scene) {
   /** @type {(pairs: number[][], a: number, b: number) => boolean} */
   const has = (pairs, a, b) => pairs.some(([c, d]) => a === c && b === d);
   const isLoose = (/** @type {number} */ block) => !joined(scene, block).some(([, , isRight]) => isRight);
-  const loose = goal.map(([block]) => block).filter(isLoose);
+  const hangsWrong = (/** @type {number} */ block) => joined(scene, block).some(([a, b, isRight]) => !isRight && has(links, a, b));
+  // A block that hangs by a wrong pole is named as such.
+  const loose = goal.map(([block]) => block).filter((block) => isLoose(block) && !hangsWrong(block));
   const missing = links.filter(([a, b]) => !isLoose(a) && !isLoose(b) && !has(scene.joints.map(([c, d]) => [c, d]), a, b));
   const wrong = scene.joints.filter(([, , isRight]) => !isRight);
   const pairs = (/** @type {Scene["joints"]} */ those) => listed(those.map(([a, b]) => `${names[b]} on ${names[a]}`));

@@ -8,7 +8,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
     // The second run has a goal of its own, and a video of it.
     let text = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test").replace("2_000", "mine");
     let own = Arc::new(Catalog::builtin().with(&Catalog::from_files([("mine.toml", text.as_str())]).unwrap()));
-    let mut recorded = segment(2, 0, 3, true);
+    let mut recorded = segment(0..3);
     recorded.task.blueprint = "mine".parse().unwrap();
     for (folder, file, bytes) in [
         ("videos/mine", "00000007-success.mp4", b"the video".to_vec()),
@@ -19,10 +19,9 @@ async fn runs_that_have_ended_stand_side_by_side() {
     }
     let finished = |name: &str, n_env_steps, catalog| {
         let about = about(Kind::Finished, name, n_env_steps, catalog);
-        let (policy, weights) = untrained();
+        let (policy, weights) = (untrained::small_policy(), Some(Arc::new(untrained::weights())));
         let run = RunPaths::new(dir.path());
         let evaluations = vec![evaluation(n_env_steps, &[])];
-        let weights = Some(Arc::new(weights));
         FinishedRun { about, evaluations, learner: Vec::new(), run, policy, weights, stage: None }
     };
     let page = Page::bind(&Valid::default()).await.unwrap();

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context;
-use blueprints::{Blueprint, Catalog};
+use blueprints::{Blueprint, Split};
 use render::picture::{MAX_TILES, Painter, card, encode, sheet};
 
 use crate::cli::ShowArgs;
 use crate::commands::files::write_files;
-use crate::commands::goals::{Goals, find, inferred};
+use crate::commands::goals::Goals;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -21,16 +21,10 @@ const SHEET_COLORS: usize = 96;
 
 /// Runs the subcommand. Draws everything before it writes the first file.
 pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let loaded = args.path.as_deref().map(Catalog::load).transpose()?;
-    // With --path, ids refer to its blueprints.
-    let named = if loaded.is_some() { Vec::new() } else { [&args.ids[..], &args.blueprint[..]].concat() };
+    let named = [&args.ids[..], &args.blueprint[..]].concat();
     let goals = Goals::open_beside(&named, None)?;
-    inferred(&named)?.iter().for_each(|(file, found)| terminal.print(&format!("{file}: {found}")));
-    let shown = if named.is_empty() {
-        select(loaded.as_ref().unwrap_or_else(|| Catalog::builtin()), args)?
-    } else {
-        goals.blueprints()
-    };
+    goals.inferred.iter().for_each(|(file, found)| terminal.print(&format!("{file}: {found}")));
+    let shown = select(&goals, args.split);
     let mut painter = Painter::default();
     let mut files = Vec::new();
     if !args.only_sheets {
@@ -52,26 +46,13 @@ pub(super) fn run(args: &ShowArgs, terminal: &Terminal) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The requested blueprints: by id in the given order, those of a split, or all.
-fn select<'a>(catalog: &'a Catalog, args: &ShowArgs) -> Result<Vec<&'a Blueprint>, Failure> {
-    if args.ids.is_empty() {
-        let shown: Vec<_> = match args.split {
-            Some(split) => catalog.of_split(split),
-            None => catalog.iter().collect(),
-        };
-        return match (shown.is_empty(), args.split) {
-            (true, Some(split)) => Err(Failure::Input(format!("the catalog has no blueprints of the split {split}"))),
-            _ => Ok(shown),
-        };
+/// The requested blueprints: the named ones in the given order, those of a split, or all.
+fn select(goals: &Goals, split: Option<Split>) -> Vec<&Blueprint> {
+    match split {
+        Some(split) => goals.catalog.of_split(split),
+        None if goals.ids.is_empty() => goals.catalog.iter().collect(),
+        None => goals.blueprints(),
     }
-    let mut shown: Vec<&'a Blueprint> = Vec::new();
-    for id in &args.ids {
-        let blueprint = find(catalog, &id.to_string_lossy())?;
-        if shown.iter().all(|other| other.id() != blueprint.id()) {
-            shown.push(blueprint);
-        }
-    }
-    Ok(shown)
 }
 
 /// The contact sheets by file name: one for all blueprints if they fit, otherwise as few as possible per split, divided
@@ -114,7 +95,7 @@ fn sizes(blueprints: &[&Blueprint]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use blueprints::Split;
+    use blueprints::Catalog;
 
     use super::*;
 

@@ -9,10 +9,11 @@ use render::video::Collector;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
-use super::recordings::{Goals, Named, Recording};
+use super::recordings::{Named, Recording, goals_of, is_shown};
 use super::{make_all, policy};
 use crate::cli::RenderArgs;
 use crate::commands::common::join_bus;
+use crate::commands::goals::Goals;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -22,21 +23,21 @@ pub(in crate::commands) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let goals = Goals::new(args)?;
+    let goals = goals_of(args)?;
     let policy = policy(args)?;
     let (run, connect) = (args.run.clone(), args.connect.clone());
     let security = SecurityConfig { keys: args.keys.folder("evaluator") };
     let config = BusConfig { run, connect, security, mode: BusMode::Client, ..BusConfig::default() };
     let config = Valid::new(config).map_err(|error| Failure::Usage(format!("--run or --connect: {error}")))?;
-    let patience = Duration::from_secs(args.timeout);
-    let Ok(opened) = timeout(patience, join_bus(&config, &shutdown)).await else {
+    let seconds = args.timeout;
+    let Ok(opened) = timeout(Duration::from_secs(seconds), join_bus(&config, &shutdown)).await else {
         let endpoints = config.connect.join(", ");
-        let seconds = args.timeout;
         return Err(Failure::Bus(anyhow!("no router answers at {endpoints} after {seconds} s")));
     };
     let Some(bus) = opened? else { return Ok(()) };
     // Episodes received before a failure are still shown.
-    let (recorded, ended) = record(&bus, args, &goals, &config, patience, &shutdown).await;
+    let mut recorded = Vec::new();
+    let ended = record(&mut recorded, &bus, args, &goals, &config, &shutdown).await;
     bus.close().await;
     let episodes: Vec<Named> =
         recorded.into_iter().enumerate().map(|(i, segments)| named(i, segments, &goals)).collect::<Result<_, _>>()?;
@@ -52,48 +53,42 @@ async fn next_episode(
 ) -> Option<Vec<Trajectory>> {
     loop {
         let segment = viewer.recv().await?;
-        if !goals.are_shown(&segment.task.blueprint) {
-            continue;
-        }
-        if let Some(episode) = collector.add(segment) {
+        if is_shown(goals, &segment.task.blueprint)
+            && let Some(episode) = collector.add(segment)
+        {
             return Some(episode);
         }
     }
 }
 
-/// The episodes received, and why there are no more.
+/// Receives episodes into `recorded`, until there are enough, or `shutdown`.
 async fn record(
+    recorded: &mut Vec<Vec<Trajectory>>,
     bus: &Bus,
     args: &RenderArgs,
     goals: &Goals,
     config: &Valid<BusConfig>,
-    patience: Duration,
     shutdown: &CancellationToken,
-) -> (Vec<Vec<Trajectory>>, Result<(), Failure>) {
-    let mut viewer = match bus.trajectory_viewer(args.actor.as_ref()).await {
-        Ok(viewer) => viewer,
-        Err(error) => return (Vec::new(), Err(error.into())),
-    };
-    let (mut collector, mut recorded) = (Collector::default(), Vec::new());
+) -> Result<(), Failure> {
+    let mut viewer = bus.trajectory_viewer(args.actor.as_ref()).await?;
+    let mut collector = Collector::default();
+    let patience = Duration::from_secs(args.timeout);
     while recorded.len() < args.episodes as usize {
         tracing::info!(run = args.run, "waiting for an episode");
         let next = tokio::select! {
-            () = shutdown.cancelled() => return (recorded, Ok(())),
+            () = shutdown.cancelled() => return Ok(()),
             next = timeout(patience, next_episode(&mut collector, &mut viewer, goals)) => next,
         };
         match next {
             Ok(Some(segments)) => recorded.push(segments),
-            Ok(None) => return (recorded, Err(Failure::Bus(anyhow!("the bus was closed")))),
-            Err(_) => {
-                let ended = tokio::select! {
-                    () = shutdown.cancelled() => Ok(()),
-                    reason = silent(args, &collector, bus, config) => Err(reason),
-                };
-                return (recorded, ended);
-            }
+            Ok(None) => return Err(Failure::Bus(anyhow!("the bus was closed"))),
+            Err(_) => tokio::select! {
+                () = shutdown.cancelled() => return Ok(()),
+                reason = silent(args, &collector, bus, config) => return Err(reason),
+            },
         }
     }
-    (recorded, Ok(()))
+    Ok(())
 }
 
 /// Explains why no episode arrived.

@@ -2,59 +2,41 @@
 
 use std::ffi::{OsStr, OsString};
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use blueprints::catalog::is_hidden;
-use blueprints::{Blueprint, BlueprintId, Catalog, outside};
+use blueprints::{Blueprint, BlueprintId, outside};
 use proto::codec::{MAX_RECORDING_BYTES, PROTOCOL_VERSION, decode_recording};
 use proto::{DecodeError, Trajectory};
 use render::video::{Episode, is_same_episode};
 use runlog::RunPaths;
+use runlog::videos::{RECORDING, VideoFile, videos};
 
 use crate::cli::RenderArgs;
-use crate::commands::goals;
+use crate::commands::goals::Goals;
 use crate::config::nearest;
 use crate::exit::Failure;
 use crate::run_dir::check_exists;
 
-/// File extension of recordings.
-const KIND: &str = "trajectory";
-
 /// The name of a video and its episode.
 pub(super) type Named = (OsString, Episode);
 
-/// The catalog of goals, and the goals to show.
-pub(super) struct Goals {
-    catalog: Arc<Catalog>,
-    /// The named goals; if empty, all are shown.
-    chosen: Vec<BlueprintId>,
+/// The goals of the episodes. Those that are named are shown; if there are none, all.
+pub(super) fn goals_of(args: &RenderArgs) -> Result<Goals, Failure> {
+    Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))
 }
 
-impl Goals {
-    pub(super) fn new(args: &RenderArgs) -> Result<Self, Failure> {
-        if let Some(path) = &args.path {
-            return Ok(Self { catalog: Arc::new(Catalog::load(path)?), chosen: Vec::new() });
-        }
-        let goals = goals::Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))?;
-        Ok(Self { catalog: goals.catalog, chosen: goals.ids })
-    }
+pub(super) fn is_shown(goals: &Goals, id: &BlueprintId) -> bool {
+    goals.ids.is_empty() || goals.ids.contains(id)
+}
 
-    /// Whether episodes with this goal are shown.
-    pub(super) fn are_shown(&self, id: &BlueprintId) -> bool {
-        self.chosen.is_empty() || self.chosen.contains(id)
-    }
-
-    /// Finds the blueprint, or explains why it is missing.
-    fn find(&self, id: &BlueprintId) -> Result<&Blueprint, String> {
-        let catalog = &self.catalog;
-        catalog.get(id).ok_or_else(|| {
-            let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
-            let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
-            format!("its goal `{id}` is not in the catalog{like}; name its file with --blueprint")
-        })
-    }
+/// Finds the blueprint, or explains why it is missing.
+fn goal_of<'g>(segment: &Trajectory, goals: &'g Goals) -> Result<&'g Blueprint, String> {
+    let (id, catalog) = (&segment.task.blueprint, &goals.catalog);
+    catalog.get(id).ok_or_else(|| {
+        let known = nearest(id.as_str(), catalog.iter().map(|blueprint| blueprint.id().as_str()));
+        let like = known.map_or_else(String::new, |known| format!(" (it has `{known}`)"));
+        format!("its goal `{id}` is not in the catalog{like}; name its file with --blueprint")
+    })
 }
 
 /// The segments of one episode and the files that they come from.
@@ -80,9 +62,9 @@ pub(super) fn read_all(paths: &[PathBuf], goals: &Goals) -> Result<Vec<Named>, F
         }
         add(&mut recordings, path, read(path)?);
     }
-    recordings.retain(|recording| goals.are_shown(&recording.segments[0].task.blueprint));
+    recordings.retain(|recording| is_shown(goals, &recording.segments[0].task.blueprint));
     if recordings.is_empty() {
-        let chosen: Vec<&str> = goals.chosen.iter().map(BlueprintId::as_str).collect();
+        let chosen: Vec<&str> = goals.ids.iter().map(BlueprintId::as_str).collect();
         return Err(Failure::NothingToShow(format!("no recorded episode has the goal {}", chosen.join(" or "))));
     }
     let episodes: Vec<Named> =
@@ -125,32 +107,13 @@ fn of_run(run: &Path) -> Result<Vec<(OsString, PathBuf)>, Failure> {
     let nothing = |reason: &str| {
         Failure::NothingToShow(format!("{}: {reason}; an evaluator with a run directory records some", run.display()))
     };
-    if !replays.is_dir() {
-        return Err(nothing("no folder of a run with recordings"));
+    if fs::read_dir(&replays).is_err() {
+        return Err(nothing("no folder of a run with recordings that can be read"));
     }
-    let refused = |error: io::Error| {
-        Failure::Input(format!("{}: cannot be read: {}", replays.display(), outside::reason(&error)))
-    };
-    let mut found = Vec::new();
-    for folder in sorted(&replays).map_err(refused)?.into_iter().filter(|path| path.is_dir()) {
-        for path in sorted(&folder).map_err(refused)? {
-            if path.extension().is_some_and(|kind| kind == KIND)
-                && let (Some(blueprint), Some(stem)) = (folder.file_name(), path.file_stem())
-            {
-                found.push(([blueprint, OsStr::new("-"), stem].into_iter().collect(), path));
-            }
-        }
-    }
+    let named = |VideoFile { path, blueprint, label }| (format!("{blueprint}-{}", label.name()).into(), path);
+    let mut found: Vec<(OsString, PathBuf)> = videos(&replays, RECORDING).into_iter().map(named).collect();
+    found.sort();
     if found.is_empty() { Err(nothing("no recordings yet")) } else { Ok(found) }
-}
-
-/// What a folder holds, without hidden names, sorted.
-fn sorted(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let entries: Vec<fs::DirEntry> = fs::read_dir(folder)?.collect::<io::Result<_>>()?;
-    let listed = entries.iter().filter(|entry| !is_hidden(&entry.file_name()));
-    let mut paths: Vec<PathBuf> = listed.map(fs::DirEntry::path).collect();
-    paths.sort();
-    Ok(paths)
 }
 
 impl Recording {
@@ -159,7 +122,7 @@ impl Recording {
             let files: Vec<String> = self.files.iter().map(|path| path.display().to_string()).collect();
             Failure::Input(format!("{}: {reason}", files.join(", ")))
         };
-        let goal = goals.find(&self.segments[0].task.blueprint).map_err(refused)?;
+        let goal = goal_of(&self.segments[0], goals).map_err(refused)?;
         let episode = Episode::new(&self.segments, goal).map_err(|error| refused(error.to_string()))?;
         Ok((self.name, episode))
     }
@@ -215,7 +178,7 @@ mod tests {
         for (name, first, last) in [("v1", 0, 4), ("v2", 0, 3), ("v2-end", 3, 6), ("v1-end", 4, 5), ("v3", 0, 5)] {
             add(&mut recordings, Path::new(&format!("replays/2_000/{name}.trajectory")), segment(first, last));
         }
-        let goals = Goals { catalog: Catalog::builtin().clone(), chosen: Vec::new() };
+        let goals = Goals::open_beside(&[], None).unwrap();
         let lengths: Vec<(OsString, usize)> = recordings
             .into_iter()
             .map(|recording| recording.episode(&goals).unwrap())

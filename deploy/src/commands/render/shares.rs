@@ -1,7 +1,6 @@
 //! `render --attention … --table`: what each head attends to, over many episodes.
 
 use std::ffi::OsStr;
-use std::fmt::Write;
 
 use evaluator::Policy;
 use render::video::{Episode, EpisodeAttention, Shares};
@@ -12,7 +11,6 @@ use crate::commands::files::write_files;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-/// Name of the output file.
 const FILE: &str = "attention.csv";
 
 /// Writes the mean attention shares of each head over all scenes, and those of uniform attention, to a file and to the
@@ -48,10 +46,9 @@ pub(super) fn write(
     let mut table = format!("{:<8}{:<6}{:>9}{:>11}{:>8}", "layer", "head", "partner", "connected", "held");
     for (layer, head, shares) in &rows {
         let Shares { planned, joined, held } = shares;
-        writeln!(csv, "{layer},{head},{planned:.4},{joined:.4},{held:.4}").expect("a String takes all");
-        let percent = [planned, joined, held].map(|share| 100.0 * share);
-        write!(table, "\n{layer:<8}{head:<6}{:>7.1} %{:>9.1} %{:>6.1} %", percent[0], percent[1], percent[2])
-            .expect("a String takes all");
+        csv += &format!("{layer},{head},{planned:.4},{joined:.4},{held:.4}\n");
+        let [planned, joined, held] = [planned, joined, held].map(|share| 100.0 * share);
+        table += &format!("\n{layer:<8}{head:<6}{planned:>7.1} %{joined:>9.1} %{held:>6.1} %");
     }
     write_files(&args.out, &[(FILE.to_owned(), csv.into_bytes())])?;
     terminal.print(&table);

@@ -5,7 +5,6 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::exit::Failure;
 
-/// Maximum number of points.
 const MAX_POINTS: usize = 10_000;
 
 /// Values of one key.

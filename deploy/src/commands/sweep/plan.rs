@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use blueprints::{Catalog, outside};
+use blueprints::Catalog;
 use serde::{Deserialize, Serialize};
 
 use super::axes::{self, Axis};
 use crate::cli::{ConfigArgs, SweepArgs};
-use crate::commands::files::write_files;
+use crate::commands::files::{read_json, write_files};
 use crate::commands::services;
 use crate::config::{Config, ConfigError, MAX_SEED, Override};
 use crate::exit::Failure;
@@ -16,19 +16,13 @@ use crate::exit::Failure;
 /// Name of the plan in the folder of a sweep.
 pub(super) const FILE: &str = "sweep.json";
 
-/// Maximum size of the plan in bytes: every point has all settings, about 10 000 bytes.
-const MAX_BYTES: u64 = 256 << 20;
-
 /// The axis that varies the ablation instead of a key.
 const ABLATION: &str = "ablation";
 
-/// A sweep.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Plan {
-    /// The version of the program that made it.
     pub(super) lodestone_version: String,
-    /// The command that made it.
     pub(super) command: Vec<String>,
     /// The seeds of each point.
     pub(super) seeds: Vec<u64>,
@@ -36,7 +30,6 @@ pub(super) struct Plan {
     pub(super) points: Vec<PlannedPoint>,
 }
 
-/// A point of a sweep.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PlannedPoint {
@@ -49,10 +42,8 @@ pub(super) struct PlannedPoint {
 /// A run of a sweep: one point with one seed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Run {
-    /// Index of the point.
     pub(super) point: usize,
     pub(super) seed: u64,
-    /// The folder of the run.
     #[serde(skip)]
     pub(super) folder: PathBuf,
 }
@@ -96,7 +87,6 @@ impl Plan {
         }))
     }
 
-    /// Reads the plan of the sweep in `folder`.
     pub(super) fn read(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(FILE);
         crate::run_dir::check_exists(folder)?;
@@ -106,8 +96,7 @@ impl Plan {
                 folder.display()
             )));
         }
-        let read = || Ok(serde_json::from_slice(&outside::read(&path, MAX_BYTES)?)?);
-        read().map_err(|error: anyhow::Error| Failure::Checkpoint(error.context(format!("reading {}", path.display()))))
+        read_json(&path)
     }
 
     /// Writes the plan to `folder`, or checks that it is the one in it.

@@ -9,15 +9,12 @@ use runlog::series::lineage;
 use runlog::{History, RunPaths};
 use serde::{Deserialize, Serialize};
 
-use super::curves::{self, Moment};
 use super::plan::{Plan, Run};
-use super::scores::{GroupResult, Score, groups, scores};
+use super::scores::{GroupResult, Moment, Score, curve, groups, scores};
+use crate::commands::files::read_json;
 use crate::commands::names::name;
 use crate::exit::Failure;
 use crate::replace::{PLAIN, replace};
-
-/// Maximum size of a result in bytes; one of the whole catalog has about 50 000.
-const MAX_BYTES: u64 = 16 << 20;
 
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,17 +24,12 @@ pub(super) enum RunResult {
     Done {
         /// Environment steps of the evaluated weights.
         n_env_steps: u64,
-        /// Success on each goal.
         scores: Vec<Score>,
     },
     /// It ended early.
-    Failed {
-        /// Its exit status.
-        status: String,
-    },
+    Failed { status: String },
 }
 
-/// A point of the table.
 #[derive(Debug, Serialize)]
 pub(super) struct PointResult {
     pub(super) name: String,
@@ -51,7 +43,6 @@ pub(super) struct PointResult {
     pub(super) unfinished: Vec<u64>,
 }
 
-/// A run that failed.
 #[derive(Debug, Serialize)]
 pub(super) struct FailedRun {
     pub(super) seed: u64,
@@ -60,7 +51,6 @@ pub(super) struct FailedRun {
     pub(super) log: PathBuf,
 }
 
-/// The results of a sweep.
 #[derive(Debug, Serialize)]
 pub(in crate::commands) struct Results {
     #[serde(serialize_with = "outside::as_text")]
@@ -78,9 +68,7 @@ impl RunResult {
         if !path.exists() {
             return Ok(None);
         }
-        let read = || Ok(serde_json::from_slice(&outside::read(&path, MAX_BYTES)?)?);
-        let failed = |error: anyhow::Error| Failure::Checkpoint(error.context(format!("reading {}", path.display())));
-        read().map(Some).map_err(failed)
+        read_json(&path).map(Some)
     }
 
     /// Writes how a run ended.
@@ -127,7 +115,7 @@ impl Results {
     /// Adds the curves of the runs that are done.
     pub(super) fn with_curves(mut self) -> Result<Self, Failure> {
         for (i, point) in self.points.iter_mut().enumerate() {
-            point.curve = curves::of(self.done.iter().filter(|run| run.point == i))?;
+            point.curve = curve(self.done.iter().filter(|run| run.point == i))?;
         }
         Ok(self)
     }
@@ -137,7 +125,9 @@ impl Results {
         let named = |run: &Run| (run.folder.clone(), format!("{}, seed {}", self.points[run.point].name, run.seed));
         if self.done.is_empty() {
             let folder = self.folder.display();
-            return Err(Failure::NothingToShow(format!("no run of {folder} is done yet: wait for the first one")));
+            return Err(Failure::NothingToShow(format!(
+                "no run of {folder} is done yet: wait for the first one, or start the sweep again"
+            )));
         }
         Ok(self.done.iter().take(n).map(named).unzip())
     }

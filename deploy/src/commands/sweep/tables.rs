@@ -98,10 +98,9 @@ fn row(lead: &[String], of: &GroupResult) -> Vec<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::curves::Moment;
     use super::super::plan::{Plan, PlannedPoint};
     use super::super::results::RunResult;
-    use super::super::scores::Score;
+    use super::super::scores::{Moment, Score};
     use super::*;
 
     /// Four goals with a mean of 0.375 and, without the lowest and the highest, 0.25.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use actor::METRICS_PERIOD;
 use anyhow::Context;
-use bus::{AliveToken, Bus, MetricsPublisher, SendError, TrajectorySender, WeightsSubscriber, process_epoch_ms};
+use bus::{AliveToken, Bus, MetricsPublisher, SendError, TrajectorySender, WeightsSubscriber, unix_ms};
 use proto::metrics::{ActorDrops, ActorMetrics, BusCounts, METRICS_SCHEMA_VERSION};
 use proto::{ActorId, Refusal, Role, Trajectory, WeightsVersion, keys};
 use tokio::sync::watch;
@@ -41,9 +41,10 @@ impl Member {
         let id = ActorId::try_from(format!("load-{number}")).context("naming a simulated actor")?;
         Ok(Self {
             number,
-            epoch: process_epoch_ms(),
+            epoch: unix_ms(),
             _alive: bus.declare_alive(Role::Actor, id.as_str()).await?,
-            weights: bus.weights_subscriber_keeping(|weights| (weights.version, weights.settings.hash())).await?,
+            // Thousands of sessions in one process cannot hold all weights.
+            weights: bus.weights_subscriber_keeping(|weights| Some((weights.version, weights.settings.hash()))).await?,
             sender: bus.trajectory_sender(&id).await?,
             metrics: bus.metrics_publisher(&keys::metrics_actor(&id)).await?,
             next_seq: AtomicU64::new(0),

@@ -2,66 +2,25 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use blueprints::{BlockIdx, N_BLOCKS};
 use bus::WeightsPublisher;
-use proto::{
-    Action, BehaviorPolicy, Gripper, Normalization, Pose, Refusal, RewardTerms, Scene, Start, Status, Task, Transition,
-    Weights, WeightsVersion,
-};
+use proto::{Refusal, Weights, WeightsVersion};
 use tokio::sync::{mpsc, watch};
 
 use super::*;
 use crate::actors::weights::Moment;
 
-/// A segment of `n_steps` steps in which nothing moves.
+#[path = "../../../../proto/src/codec/tests/samples.rs"]
+#[expect(dead_code)]
+mod samples;
+
 fn segment(n_steps: usize) -> Trajectory {
-    let scene = Scene {
-        blocks: std::array::from_fn(|i| Pose { position: [i as f32, 0.0, 0.05], orientation: [0.0, 0.0, 0.0, 1.0] }),
-        speeds_mps: [0.0; N_BLOCKS],
-        joints: Vec::new(),
-        grippers: [Some(Gripper::IDLE); 2],
-        n_heavy_contacts: 0,
-    };
-    let transition = Transition {
-        scene: scene.clone(),
-        action: Action { choices: [BlockIdx::all().next(), BlockIdx::all().nth(1)], moves: [[0.0; 6]; N_BLOCKS] },
-        proposals: [None; 2],
-        behavior_log_prob: 0.0,
-        reward: RewardTerms::default(),
-        disturbance: None,
-    };
-    let mut blocks = BlockIdx::all();
-    Trajectory {
-        actor: "recorded".parse().unwrap(),
-        epoch: 1,
-        seq: 0,
-        weights_version: WeightsVersion(0),
-        settings_hash: 0,
-        task: Task {
-            blueprint: "2_000".parse().unwrap(),
-            assignment: std::array::from_fn(|_| blocks.next().unwrap()),
-            start: Start::Scattered,
-            seed: 5,
-        },
-        behavior_policy: BehaviorPolicy::Sampled,
-        first_step: 0,
-        transitions: vec![transition; n_steps],
-        last_scene: scene,
-        status: Status::Running,
-        episode_stats: None,
-    }
+    let mut segment = samples::running("recorded", 0);
+    segment.transitions = vec![segment.transitions[0].clone(); n_steps];
+    segment
 }
 
 fn weights(version: u64) -> Arc<Weights> {
-    Arc::new(Weights {
-        version: WeightsVersion(version),
-        n_env_steps: 0,
-        network_hash: 0,
-        settings: Default::default(),
-        parameters: vec![0.0; 4],
-        normalization: Normalization::default(),
-        task_probabilities: [("2_000".parse().unwrap(), 1.0)].into(),
-    })
+    Arc::new(samples::weights(version))
 }
 
 #[test]

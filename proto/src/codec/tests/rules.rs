@@ -4,7 +4,7 @@ use prost::Message;
 
 use super::samples;
 use crate::codec::*;
-use crate::{Start, Status, Trajectory, Weights, wire};
+use crate::{BehaviorPolicy, Disturbance, RewardTerms, Start, Status, Trajectory, Weights, wire};
 
 /// Breaks a rule that the plain type can also break.
 #[track_caller]
@@ -56,17 +56,63 @@ fn header_alone_names_the_actor() {
     }
 }
 
+/// Changes a trajectory to another valid one.
+#[track_caller]
+fn accept(change: impl Fn(&mut Trajectory)) {
+    let mut trajectory = samples::successful("actor-1", 1);
+    change(&mut trajectory);
+    assert_eq!(decode_trajectory(&encode_trajectory(&trajectory)).unwrap(), trajectory);
+}
+
+#[test]
+fn the_last_valid_values_are_accepted() {
+    accept(|t| (t.epoch, t.seq, t.weights_version.0, t.settings_hash, t.task.seed) = (u64::MAX, 0, u64::MAX, 0, 0));
+    accept(|t| t.actor = "z9--".repeat(16).parse().unwrap());
+    accept(|t| t.transitions[0].behavior_log_prob = -1e6);
+    accept(|t| t.transitions[0].reward = RewardTerms { connected: 1e6, force: -1e6, ..RewardTerms::default() });
+    accept(|t| t.transitions[0].action.moves = [[-1e6, 1e6, 0.0, -0.0, f32::MIN_POSITIVE, 1e6]; 16]);
+    accept(|t| t.transitions[0].action.choices = [Some(samples::block(15)); 2]);
+    accept(|t| t.transitions[0].proposals = [Some(0), Some(255)]);
+    accept(|t| t.last_scene.blocks[0].position = [1e6, -1e6, 0.0]);
+    accept(|t| t.last_scene.blocks[15].orientation = [0.0, 0.0, -1.0009, 0.0]);
+    accept(|t| t.last_scene.speeds_mps = [1e6; 16]);
+    accept(|t| t.last_scene.n_heavy_contacts = 255);
+    accept(|t| t.last_scene.joints.clear());
+    accept(|t| t.last_scene.joints[2].relative.offset_half_units = [-8, 0, 8]);
+    accept(|t| {
+        let gripper = t.last_scene.grippers[0].as_mut().unwrap();
+        (gripper.held, gripper.linear_velocity, gripper.angular_velocity) =
+            (Some(samples::block(15)), [1e6; 3], [-1e6; 3]);
+    });
+    accept(|t| {
+        t.transitions[0].disturbance = Disturbance::new(samples::block(15), [2.0, -2.0, 0.0], [5.0, -5.0, 0.0]).ok();
+    });
+    for start in [Start::Scattered, Start::AsItIs, Start::NearGoal { undone: 1 }, Start::NearGoal { undone: 255 }] {
+        accept(|t| t.task.start = start.clone());
+    }
+    accept(|t| t.behavior_policy = BehaviorPolicy::Greedy);
+    for success in [false, true] {
+        accept(|t| {
+            t.status = Status::TimeLimit;
+            t.episode_stats.as_mut().unwrap().success = success;
+        });
+    }
+    accept(|t| {
+        t.transitions = vec![t.transitions[0].clone(); 1000];
+        t.first_step = u16::MAX - 1000;
+        t.episode_stats.as_mut().unwrap().n_steps = u16::MAX;
+    });
+}
+
 #[test]
 fn invalid_numbers_are_refused() {
     let sane = "expected a number in −1e6..=1e6";
-    check(
-        |t| t.transitions[0].behavior_log_prob = f32::INFINITY,
-        &format!("transition.behavior_log_prob is inf, {sane}"),
-    );
-    check(|t| t.transitions[0].reward.wrong = f32::NAN, &format!("reward.wrong is NaN, {sane}"));
+    check(|t| t.transitions[0].behavior_log_prob = f32::NAN, &format!("transition.behavior_log_prob is NaN, {sane}"));
+    check(|t| t.transitions[0].reward.wrong = f32::INFINITY, &format!("reward.wrong is inf, {sane}"));
     check(|t| t.transitions[0].action.moves[15][5] = 2e6, &format!("action.moves is 2000000, {sane}"));
     check(|t| t.last_scene.blocks[3].position[2] = f32::NAN, &format!("scene.poses is NaN, {sane}"));
     check(|t| t.last_scene.speeds_mps[0] = -1.0, "scene.speeds is -1, expected a number in 0..=1e6");
+    check_wire(|t| t.behavior_policy = 3, "behavior_policy is 3, expected sampled, greedy or expert");
     let long = "scene.poses is a quaternion of norm 1.1, expected a norm within 1e-3 of 1";
     check(|t| t.last_scene.blocks[9].orientation = [1.1, 0.0, 0.0, 0.0], long);
 }
@@ -74,10 +120,11 @@ fn invalid_numbers_are_refused() {
 #[test]
 fn wrong_lengths_are_refused() {
     check(|t| t.transitions.clear(), "transitions is 0 steps, expected 1 to 1000 steps");
-    check(
-        |t| t.transitions = vec![t.transitions[0].clone(); 1001],
-        "transitions is more than 1000, expected 1 to 1000 steps",
-    );
+    let too_many = "transitions is more than 1000, expected 1 to 1000 steps";
+    check(|t| t.transitions = vec![t.transitions[0].clone(); 1001], too_many);
+    // They are counted before they are parsed: two bytes for each empty one would take hundreds of bytes in memory.
+    let transitions = [0x42, 0x00].repeat(MAX_TRAJECTORY_BYTES / 2);
+    assert_eq!(decode_trajectory(&transitions).unwrap_err().to_string(), too_many);
     check_wire(|t| first_scene(t).poses.truncate(111), "scene.poses is 111 values, expected 112 values");
     check_wire(|t| first_scene(t).speeds.push(0.0), "scene.speeds is 17 values, expected 16 values");
     check_wire(|t| first_joint(t).offset.clear(), "joint.offset is 0 values, expected 3 values");
@@ -233,17 +280,4 @@ fn invalid_weights_are_refused() {
         |w| *w.task_probabilities.values_mut().next().unwrap() = -0.5,
         "task_probabilities.probability is -0.5, expected a number in 0..=1",
     );
-}
-
-#[test]
-fn an_unknown_behavior_policy_is_refused() {
-    check_wire(|t| t.behavior_policy = 3, "behavior_policy is 3, expected sampled, greedy or expert");
-}
-
-#[test]
-fn repeated_fields_are_counted_before_they_are_parsed() {
-    // Two bytes for each empty transition, which would take hundreds of bytes in memory.
-    let transitions = [0x42, 0x00].repeat(MAX_TRAJECTORY_BYTES / 2);
-    let error = decode_trajectory(&transitions).unwrap_err().to_string();
-    assert_eq!(error, "transitions is more than 1000, expected 1 to 1000 steps");
 }

@@ -1,7 +1,5 @@
 //! Sample values for tests and the golden bytes; most fields differ from their defaults.
 
-use std::collections::BTreeMap;
-
 use blueprints::{BlockIdx, CubeRotation, N_BLOCKS, RelativePlacement};
 use proto::{
     Action, BehaviorPolicy, CanonicalSettings, EpisodeStats, Gripper, Joint, Normalization, Pose, RewardTerms, Scene,
@@ -97,9 +95,7 @@ pub(crate) fn one_gripper(actor: &str, seq: u64) -> Trajectory {
 
 /// Returns the same trajectory, driven by the expert.
 pub(crate) fn of_expert(actor: &str, seq: u64) -> Trajectory {
-    let mut trajectory = running(actor, seq);
-    trajectory.behavior_policy = BehaviorPolicy::Expert;
-    trajectory
+    Trajectory { behavior_policy: BehaviorPolicy::Expert, ..running(actor, seq) }
 }
 
 pub(crate) fn settings() -> CanonicalSettings {
@@ -120,9 +116,6 @@ pub(crate) fn weights(version: u64) -> Weights {
             value_mean: -2.0,
             value_std: 3.0,
         },
-        task_probabilities: probabilities
-            .into_iter()
-            .map(|(id, p)| (id.parse().unwrap(), p))
-            .collect::<BTreeMap<_, _>>(),
+        task_probabilities: probabilities.map(|(id, p)| (id.parse().unwrap(), p)).into(),
     }
 }

@@ -1,12 +1,9 @@
-//! The version of the checkpoint format, and the errors of reading and writing checkpoints.
+//! Errors of reading and writing checkpoints.
 
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
-
-/// Format version of checkpoints and policies, incremented when older readers cannot read the files, or when the policy
-/// would read other features ([`policy::config::FEATURE_LAYOUT`]).
-pub(crate) const FORMAT_VERSION: u32 = 4;
+use policy::ModelError;
+use policy::model::FORMAT_VERSION;
 
 /// Errors from writing or reading a checkpoint.
 #[derive(Debug, thiserror::Error)]
@@ -56,25 +53,20 @@ pub enum CheckpointError {
     Mismatch(String),
 }
 
-/// The part of a file that every version has.
-#[derive(Deserialize)]
-pub(crate) struct FormatVersion {
-    format_version: u32,
-}
-
-impl FormatVersion {
-    /// Checks that this program reads the version of the file at `path`.
-    pub(crate) fn check(&self, path: &Path) -> Result<(), CheckpointError> {
-        match self.format_version {
-            FORMAT_VERSION => Ok(()),
-            found => Err(CheckpointError::Version { path: path.into(), found }),
-        }
-    }
-}
-
 /// Returns a closure for `map_err` that names the failed file system operation.
-pub(super) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
+pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
     move |error| CheckpointError::Io { action, path: path.into(), error }
+}
+
+/// Returns a closure for `map_err` that names the file with a policy or its parameters.
+pub(crate) fn at(path: &Path) -> impl FnOnce(ModelError) -> CheckpointError {
+    let path = path.to_owned();
+    move |error| match error {
+        ModelError::Damaged(reason) => CheckpointError::Damaged { path, reason },
+        ModelError::Version(found) => CheckpointError::Version { path, found },
+        ModelError::UnknownPolicy(reason) => CheckpointError::UnknownPolicy { path, reason },
+        ModelError::Mismatch(reason) => CheckpointError::Mismatch(reason),
+    }
 }
 
 pub(super) fn damaged(folder: &Path, name: &str, reason: impl Into<String>) -> CheckpointError {
