@@ -53,13 +53,15 @@ impl Bus {
     /// appears alive for up to 6 s, so this waits for up to `patience`. Two processes that start at the same moment may
     /// both succeed; of two actors, the learner then accepts one.
     ///
+    /// Call this before the session follows [`Self::alive`] of the same role. zenoh sends a client the tokens it follows
+    /// once only, so its own copy must answer then, and the router's end of the answer can overtake that.
+    ///
     /// # Errors
     /// [`BusError::NameTaken`] if the other process stays, and the errors of [`Self::declare_alive`].
     pub async fn declare_alive_alone(&self, role: Role, id: &str, patience: Duration) -> Result<AliveToken, BusError> {
         let deadline = Instant::now() + patience;
         let mut has_warned = false;
-        // Under load, a router was seen to answer without a token that it had, so a free name is checked twice.
-        while self.is_alive(role, id).await? || self.is_alive(role, id).await? {
+        while self.is_alive(role, id).await? {
             if Instant::now() >= deadline {
                 let advice = match role {
                     Role::Learner => "there can be one only: end it, or choose another --run",

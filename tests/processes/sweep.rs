@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::support::program::{SMALL, check_refused, lines, lodestone, printed, refused};
+use crate::support::program::{SMALL, check_refused, kill, lines, lodestone, printed, refused};
 use crate::support::served::{Process, interrupt};
 
 /// What the runs are evaluated on.
@@ -20,6 +20,18 @@ fn sweep(folder: &Path, args: &[&str]) -> Command {
     command
 }
 
+/// The process that this one has started.
+fn child(parent: &Process) -> u32 {
+    let threads = fs::read_dir(format!("/proc/{}/task", parent.0.id())).unwrap();
+    let children = threads.map(|thread| fs::read_to_string(thread.unwrap().path().join("children")).unwrap());
+    children.collect::<String>().trim().parse().unwrap()
+}
+
+/// Waits until the sweep says this of a run.
+fn see(mut lines: impl Iterator<Item = String>, run: &str, what: &str) {
+    assert!(lines.any(|line| line.starts_with(run) && line.contains(what)), "{run} {what}");
+}
+
 /// The rows and the notes below them.
 fn table(printed: &str) -> &str {
     &printed[printed.find("| point |").unwrap_or_else(|| panic!("no table in {printed}"))..]
@@ -29,24 +41,27 @@ fn table(printed: &str) -> &str {
 fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["--grid", "learner.gamma=0.9,0.95", "--seeds", "2"];
-    // Waits until the first of these runs is done and the second has begun.
-    let until = |done: &str, begun: &str| {
+    let begin = || {
         let mut command = sweep(folder.path(), &args);
         let mut running = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
-        let mut lines = lines(running.0.stdout.take().unwrap());
-        let mut see = |run: &str, what: &str| {
-            assert!(lines.any(|line| line.starts_with(run) && line.contains(what)), "{run} {what}");
-        };
-        see(done, ": done");
-        see(begun, ": training in");
+        let lines = lines(running.0.stdout.take().unwrap());
         (running, lines)
     };
-    let (mut killed, _) = until("[1/4] learner.gamma=0.9, seed 1", "[2/4] learner.gamma=0.95, seed 1");
+    let (mut killed, mut lines) = begin();
+    see(&mut lines, "[1/4] learner.gamma=0.9, seed 1", ": done");
+    see(&mut lines, "[2/4] learner.gamma=0.95, seed 1", ": training in");
+    // On a busy machine, what it started may live on for a while before it notices.
+    let orphan = child(&killed);
+    kill("-STOP", orphan);
     killed.0.kill().unwrap();
     killed.0.wait().unwrap();
 
+    let (mut interrupted, mut lines) = begin();
+    see(&mut lines, "[2/4] ", ": waiting for the process that trains it");
+    kill("-CONT", orphan);
+    see(&mut lines, "[2/4] ", ": done");
+    see(&mut lines, "[3/4] learner.gamma=0.9, seed 2", ": training in");
     // On a busy machine the interruption can come one run late.
-    let (mut interrupted, lines) = until("[2/4] ", "[3/4] learner.gamma=0.9, seed 2");
     interrupt(&interrupted);
     let rest: Vec<String> = lines.collect();
     assert!(interrupted.0.wait().unwrap().success());

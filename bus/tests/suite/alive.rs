@@ -35,7 +35,7 @@ async fn alive_watch_follows_tokens() {
 async fn second_process_of_a_name_waits_and_then_fails() {
     let cluster = Cluster::start().await;
     let (first, second) = (cluster.client().await, cluster.client().await);
-    let watch = second.alive(Role::Actor).await.unwrap();
+    let watch = cluster.router.alive(Role::Actor).await.unwrap();
     let token = first.declare_alive_alone(Role::Actor, "a", Duration::ZERO).await.unwrap();
     // The declaration takes a moment to reach the router.
     until("the first", &mut watch.watch(), |alive| *alive == names(&["a"])).await;

@@ -55,19 +55,22 @@ impl Pool {
             |what: &str| self.terminal.print(&format!("[{}/{n_runs}] {point}, seed {}: {what}", index + 1, run.seed));
         let (config, settings) = self.plan.config(run)?;
         fs::create_dir_all(&run.folder).with_context(|| format!("making {}", run.folder.display()))?;
-        // A training of an earlier call may still be saving.
+        let log = run.log();
+        let output = File::options().create(true).append(true).open(&log);
+        let output = output.with_context(|| format!("opening {}", log.display()))?;
+        // A training of an earlier call may still be saving. It has this lock with its output, so from its first moment
+        // on; one that was started by hand has that of the run.
         let lock = RunPaths::new(&run.folder).lock();
         let lock = File::create(&lock).with_context(|| format!("opening {}", lock.display()))?;
-        if lock.try_lock().is_err() {
-            say("waiting for the process that trains it");
-            lock.lock().context("waiting for the lock of a run")?;
+        for file in [&output, &lock] {
+            if file.try_lock().is_err() {
+                say("waiting for the process that trains it");
+                file.lock().context("waiting for the lock of a run")?;
+            }
         }
         drop(lock);
         // It says how the run failed before; most runs have none.
         drop(fs::remove_file(run.result()));
-        let log = run.log();
-        let output = File::options().create(true).append(true).open(&log);
-        let output = output.with_context(|| format!("opening {}", log.display()))?;
         let mut command = Command::new(std::env::current_exe().context("finding this program")?);
         for (name, _) in std::env::vars_os() {
             // The plan has taken in the settings among them.
