@@ -19,8 +19,9 @@ from pathlib import Path
 from ..ring.checks import Tally, require, require_none
 from ..ring.processes import ROOT, demand, run
 from . import broken, operators, pods, program, rules, secrets
-from .manifests import FOLDER, Object, invalid, parse, quantity, render, workloads
+from .manifests import FOLDER, Object, parse, quantity, render, workloads
 from .network import policies
+from .schemas import invalid
 
 EXAMPLE = ROOT / "docs/kubernetes.md"
 
@@ -91,6 +92,8 @@ def judge(tally: Tally, kubectl: str, binary: Path, scratch: Path) -> None:
     tally.check("the pod that copies is valid", lambda: require_none(invalid(parse((FOLDER / "copy.yaml").read_text()))))
     for mistake in broken.MISTAKES:
         tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["second"], mistake, offline))
+    for mistake in broken.FOR_THE_SCHEMAS:
+        tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["second"], mistake, invalid))
     accepted = partial(program.accepted, binary=binary, keys=keys)
     for mistake in broken.FOR_THE_PROGRAM:
         tally.check(f"is noticed: {mistake.what}", partial(broken.noticed, rendered["second"], mistake, accepted))

@@ -12,7 +12,10 @@ BOX = f"{POD}.containers.0"
 JOB = "spec.replicatedJobs.0"
 LEARNER = f"{JOB}.template.spec.template.spec"
 FAILURES = f"{JOB}.template.spec.podFailurePolicy.rules"
-ALERT = "spec.groups.0.rules.0"
+MONITOR, ENDPOINT = "PodMonitor", "spec.podMetricsEndpoints.0"
+ALERTS, RULES = "PrometheusRule", "spec.groups.0.rules"
+ALERT = f"{RULES}.0"
+VOLUME = {"name": "tmp", "emptyDir": {}}
 NOTHING = {"matchLabels": {"a": "b"}}
 
 
@@ -63,6 +66,38 @@ MISTAKES = [
     Mistake("a router on another port", "Deployment", "router", f"{BOX}.ports.0.containerPort", 7448),
     Mistake("a variable that is set twice", "Deployment", "actor", f"{BOX}.env.1.name", "LODESTONE_CONNECT"),
     Mistake("a variable that is not there", "JobSet", "run", f"{LEARNER}.containers.0.args.3", "--steps=$(STEPS)"),
+]
+# What the schemas of custom resources and their metadata notice by themselves.
+FOR_THE_SCHEMAS = [
+    Mistake("a JobSet of another version", "JobSet", "run", "apiVersion", "jobset.x-k8s.io/v1"),
+    Mistake("a JobSet without a version", "JobSet", "run", "apiVersion", None),
+    Mistake("a JobSet without jobs", "JobSet", "run", "spec.replicatedJobs", None),
+    Mistake("a policy that no JobSet has", "JobSet", "run", "spec.successPolicy.operator", "Most"),
+    Mistake("a misspelled field of a JobSet's network", "JobSet", "run", "spec.network.enableDNSHostname", False),
+    Mistake("a word where a number of Jobs belongs", "JobSet", "run", f"{JOB}.replicas", "1"),
+    Mistake("more Jobs than 32 bits count", "JobSet", "run", f"{JOB}.replicas", 2**31),
+    Mistake("a Job's template without pods", "JobSet", "run", f"{JOB}.template.spec.template", None),
+    Mistake("a size that is none", "JobSet", "run", f"{LEARNER}.volumes.0.emptyDir.sizeLimit", "64MB"),
+    Mistake("two volumes of one name", "JobSet", "run", f"{LEARNER}.volumes", [VOLUME, VOLUME]),
+    Mistake("a null where a name belongs", "JobSet", "run", "spec.successPolicy.targetReplicatedJobs", [None]),
+    Mistake("a misspelled field of a JobSet's metadata", "JobSet", "run", "metadata.label", {}),
+    Mistake("a PodMonitor without its spec", MONITOR, "evaluator", "spec", None),
+    Mistake("a PodMonitor without a selector", MONITOR, "evaluator", "spec.selector", None),
+    Mistake("a misspelled field of an endpoint", MONITOR, "evaluator", f"{ENDPOINT}.period", "15s"),
+    Mistake("a number where an interval belongs", MONITOR, "evaluator", f"{ENDPOINT}.interval", 15),
+    Mistake("an interval without a unit", MONITOR, "evaluator", f"{ENDPOINT}.interval", "15"),
+    Mistake("an authorization that there is not", MONITOR, "evaluator", f"{ENDPOINT}.authorization.type", "Basic"),
+    Mistake("a token without its key", MONITOR, "evaluator", f"{ENDPOINT}.authorization.credentials.key", None),
+    Mistake("a number in a PodMonitor's labels", MONITOR, "evaluator", "metadata.labels", {"a": 1}),
+    Mistake("alerts of another version", ALERTS, "run", "apiVersion", "monitoring.coreos.com/v2"),
+    Mistake("alerts without their spec", ALERTS, "run", "spec", None),
+    Mistake("a group without a name", ALERTS, "run", "spec.groups.0.name", None),
+    Mistake("an alert without an expression", ALERTS, "run", f"{ALERT}.expr", None),
+    Mistake("an alert with a misspelled duration", ALERTS, "run", f"{ALERT}.for", "10min"),
+    Mistake("a number among an alert's labels", ALERTS, "run", f"{ALERT}.labels.severity", 1),
+    Mistake("an object where a list of alerts belongs", ALERTS, "run", RULES, {"alert": "A", "expr": "up"}),
+    Mistake("two groups of one name", ALERTS, "run", "spec.groups", 2 * [{"name": "a", "rules": []}]),
+    Mistake("a misspelled field of the alerts' metadata", ALERTS, "run", "metadata.label", {}),
 ]
 # What only the program itself notices.
 FOR_THE_PROGRAM = [

@@ -1,13 +1,10 @@
-"""Renders manifests, validates them, and provides the parts of objects that several checks share."""
+"""Renders manifests, and provides the parts of objects that several checks share."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-import jsonschema
-import kubernetes_validate
 import yaml
 
 from ..ring.processes import ROOT, run
@@ -17,9 +14,6 @@ Object = dict[str, Any]
 FOLDER = ROOT / "deploy" / "kubernetes"
 COMPONENT = "app.kubernetes.io/component"
 ROLES = ("router", "learner", "actor", "evaluator")
-
-# The oldest Kubernetes that decides by a pod's exit code without a feature gate, and the newest that the validator knows.
-VERSIONS = ("1.31.0", "1.37.0")
 
 UNITS: dict[str, Decimal | int] = {"": 1, "m": Decimal("0.001"), "Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 
@@ -32,37 +26,6 @@ def render(kubectl: str, folder: Path) -> list[Object]:
 def parse(text: str) -> list[Object]:
     """Parses a stream of YAML documents."""
     return [document for document in yaml.safe_load_all(text) if document]
-
-
-def closed(schema: Any) -> Any:
-    """Returns a schema that allows no other properties than those it lists."""
-    if isinstance(schema, list):
-        return [closed(part) for part in schema]
-    if not isinstance(schema, dict):
-        return schema
-    same = {key: closed(part) for key, part in schema.items()}
-    return {"type": "object", "additionalProperties": False, **same} if "properties" in schema else same
-
-
-# Those of custom resources, which the validator does not know.
-SCHEMAS = closed(yaml.safe_load(Path(__file__).with_name("schemas.yaml").read_text()))
-
-
-def invalid(objects: list[Object]) -> Iterator[str]:
-    """Yields what the schemas refuse, those of each version of Kubernetes, unknown fields included."""
-    for thing in of_kind(objects, *SCHEMAS):
-        for error in jsonschema.Draft202012Validator(SCHEMAS[thing["kind"]]).iter_errors(thing):
-            yield f"{shown(thing)}: {error.json_path}: {error.message}"
-    head = {"apiVersion": "batch/v1", "kind": "Job"}
-    made = [{**head, "metadata": {"name": job["name"]}, "spec": job["template"]["spec"]} for job in jobs(objects)]
-    for thing in [*made, *(thing for thing in objects if thing["kind"] not in SCHEMAS)]:
-        for version in VERSIONS:
-            try:
-                kubernetes_validate.validate(thing, version, strict=True)
-            except kubernetes_validate.ValidationError as error:
-                yield f"{shown(thing)}, {version}: {'.'.join(map(str, error.path))}: {error.message}"
-            except (kubernetes_validate.SchemaNotFoundError, kubernetes_validate.InvalidSchemaError) as error:
-                yield f"{shown(thing)}, {version}: {error}"
 
 
 @dataclass(frozen=True)
