@@ -213,7 +213,7 @@ fn shells_know_the_commands() {
         }
         std::fs::write(folder.path().join(shell), text).unwrap();
     }
-    // In bash itself, as if these words had been typed before Tab.
+    // In the shells themselves, where they are installed, as if these words had been typed before Tab.
     for (words, expected) in [
         ("train --set learner.gam", "learner.gamma="),
         ("play 16_00", "16_000 16_001 16_002"),
@@ -230,11 +230,20 @@ fn shells_know_the_commands() {
              echo \"${{COMPREPLY[*]}}\"",
             typed.len()
         );
-        let Ok(bash) = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output() else { return };
-        let offered = String::from_utf8(bash.stdout).unwrap();
-        assert!(
-            offered.starts_with(expected) && offered.trim().is_empty() == expected.is_empty(),
-            "{words}: {offered}"
+        let offers = |shell: &str, script: &str| {
+            let Ok(ended) = Command::new(shell).args(["-c", script]).current_dir(folder.path()).output() else {
+                return;
+            };
+            let offered = String::from_utf8(ended.stdout).unwrap();
+            assert!(
+                offered.starts_with(expected) && offered.trim().is_empty() == expected.is_empty(),
+                "{shell}: {words}: {offered}"
+            );
+        };
+        offers("bash", &script);
+        offers(
+            "fish",
+            &format!("source ./fish; complete -C 'lodestone {words}' | string split -f 1 \\t | string join ' '"),
         );
     }
 }

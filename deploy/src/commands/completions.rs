@@ -2,7 +2,7 @@
 
 use blueprints::{Catalog, Split};
 use clap::builder::{PossibleValue, PossibleValuesParser};
-use clap::{Command, CommandFactory, ValueHint};
+use clap::{Arg, Command, CommandFactory, ValueHint};
 use clap_complete::Shell;
 
 use crate::cli::Cli;
@@ -13,7 +13,16 @@ pub(super) fn completions(shell: Shell, terminal: &Terminal) {
     let mut command = with_values(Cli::command());
     let name = command.get_name().to_owned();
     let mut text = Vec::new();
-    clap_complete::generate(shell, &mut command, name, &mut text);
+    clap_complete::generate(shell, &mut command, &name, &mut text);
+    if shell == Shell::Fish {
+        // The generator knows only options there.
+        for command in command.get_subcommands() {
+            let values = command.get_positionals().flat_map(Arg::get_possible_values);
+            let values: Vec<String> = values.map(|value| value.get_name().to_owned()).collect();
+            let using = format!("__fish_{name}_using_subcommand {}", command.get_name());
+            text.extend(format!("complete -c {name} -n '{using}' -a '{}'\n", values.join(" ")).bytes());
+        }
+    }
     terminal.print(&String::from_utf8_lossy(&text));
 }
 
