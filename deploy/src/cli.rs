@@ -353,15 +353,9 @@ pub struct PlayArgs {
     /// Same as FILE|ID; may be repeated.
     #[arg(long, value_name = "FILE|ID")]
     pub(crate) blueprint: Vec<OsString>,
-    /// Also evaluate the policy, with this many episodes per blueprint [default: with --run-dir, 4; else none].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub(crate) episodes: Option<u32>,
     /// Address of the web page [default: 127.0.0.1 with a free port].
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = values::address)]
     pub(crate) web: Option<std::net::SocketAddr>,
-    /// Evaluate the policy, and keep the results, episodes, and videos in this folder.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) run_dir: Option<PathBuf>,
     /// Do not open the page in a browser, which happens where a terminal and a display are.
     #[arg(long)]
     pub(crate) no_open: bool,

@@ -189,18 +189,6 @@ fn make_new(folder: &Path, name: &str) -> io::Result<PathBuf> {
 }
 
 impl RunDir {
-    /// Creates the folder and describes the run in it: [`Self::claim`], then [`Self::describe`].
-    pub(crate) fn create(
-        path: Option<&Path>,
-        config: &Config,
-        preset: Option<&Preset>,
-        origin: &Origin,
-    ) -> Result<Self, Failure> {
-        let claimed = Self::claim(path, config, origin)?;
-        claimed.describe(config, preset, origin)?;
-        Ok(claimed)
-    }
-
     /// Creates the folder, `runs/<date>-<name>` unless a path is given, and takes its lock.
     ///
     /// # Errors
@@ -307,7 +295,13 @@ mod tests {
     use super::*;
 
     fn start(path: &Path, origin: &Origin) -> Result<RunDir, Failure> {
-        RunDir::create(Some(path), &Config::default(), None, origin)
+        begin(path, &Config::default(), None, origin)
+    }
+
+    fn begin(path: &Path, config: &Config, preset: Option<&Preset>, origin: &Origin) -> Result<RunDir, Failure> {
+        let claimed = RunDir::claim(Some(path), config, origin)?;
+        claimed.describe(config, preset, origin)?;
+        Ok(claimed)
     }
 
     #[test]
@@ -365,7 +359,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run");
         let preset = Preset::find("smoke").unwrap();
-        drop(RunDir::create(Some(&path), &Config::default(), Some(preset), &Origin::default()).unwrap());
+        drop(begin(&path, &Config::default(), Some(preset), &Origin::default()).unwrap());
         let resumed = Origin { config: Some(path.clone()), checkpoint: None };
         drop(start(&path, &resumed).unwrap());
         assert_eq!(preset_of(&RunPaths::new(&path)).as_deref(), Some("smoke"));
@@ -383,7 +377,7 @@ mod tests {
             Config { dashboard: DashboardConfig { web: Some(web) }, ..Config::default() }
         };
         let modes = |config: &Config| {
-            drop(RunDir::create(Some(folder.path()), config, None, &Origin::default()).unwrap());
+            drop(begin(folder.path(), config, None, &Origin::default()).unwrap());
             [mode(paths.config()), mode(paths.meta())]
         };
         assert_eq!(modes(&config_with(None)), [mode(paths.lock()); 2], "as for any file");

@@ -65,7 +65,7 @@ fn the_best_policy_of_a_run_is_kept_evaluated_played_and_exported_and_the_newest
     assert!(String::from_utf8_lossy(&evaluated.stderr).contains(said));
 
     let mut playing = lodestone(folder.path());
-    let playing = playing.args(["play", "--checkpoint", "run", "2_000", "--episodes", "1"]);
+    let playing = playing.args(["play", "--checkpoint", "run", "2_000"]);
     let mut playing = Process(playing.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = lines(playing.0.stderr.take().unwrap());
     assert!(lines.any(|line| line.contains(said)));

@@ -6,10 +6,8 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
-use dashboard::{About, Farewell, Kind};
-use evaluator::{Listeners, Stop};
+use dashboard::{About, Farewell, Kind, Page};
 use proto::{Valid, Weights};
-use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, run_of};
@@ -18,28 +16,22 @@ use super::{common::join_bus, services};
 use crate::cli::PlayArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
-use crate::live::{self, Terminal};
-use crate::run_dir::{Origin, RunDir};
+use crate::live::Terminal;
 use crate::shell;
 
 /// Name of the run and of its only service.
 const NAME: &str = "play";
-
-/// Episodes per blueprint of an evaluation that is to be kept.
-const N_EPISODES: u32 = 4;
 
 /// The configuration of a run that consists of the evaluator only, for the blueprints `named`, or for all.
 pub(super) fn configure(source: &Source, named: &[BlueprintId], args: &PlayArgs) -> Result<Valid<Config>, Failure> {
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     let mut overrides = vec![
         Override::flag("play", "bus.run", NAME),
-        Override::flag("--episodes", "evaluator.episodes.n_episodes", i64::from(args.episodes.unwrap_or(N_EPISODES))),
         Override::flag("--web", "dashboard.web.listen", page.to_string()),
     ];
     if !named.is_empty() {
         let ids: Vec<String> = named.iter().map(ToString::to_string).collect();
         let splits: Vec<String> = Split::ALL.iter().map(ToString::to_string).collect();
-        overrides.push(Override::flag("ID", "evaluator.videos.blueprints", ids.clone()));
         overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
         // Regardless of what the policy was evaluated on during training.
         overrides.push(Override::flag("ID", "evaluator.selection.splits", splits));
@@ -51,7 +43,7 @@ pub(super) fn configure(source: &Source, named: &[BlueprintId], args: &PlayArgs)
     source.config(&overrides)
 }
 
-/// Serves the page until `shutdown`, and evaluates the policy once if that is asked for.
+/// Serves the page until `shutdown`.
 pub(super) async fn run(
     source: Source,
     goals: &Goals,
@@ -61,45 +53,22 @@ pub(super) async fn run(
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
     let weights = Arc::new(published(source, config, &goals.catalog)?);
-    let page = services::page(services::web(config)).await?;
-    services::tell_page(page.as_ref(), terminal);
-    if let Some(page) = page.as_ref().filter(|_| !args.no_open) {
+    let page = Page::bind(&services::web(config).expect("`configure` asks for a page")).await?;
+    services::tell_page(Some(&page), terminal);
+    if !args.no_open {
         open(&format!("http://{}", page.address()));
     }
     let run = args.checkpoint.as_deref().and_then(run_of);
     // So that the first episode does not wait for the bus.
     let first = Some(weights.clone());
-    let page = page.map(|page| services::Opened { page, about: about(args, goals), first, run });
-    let kept = args.run_dir.as_deref();
-    let run_dir = kept.map(|folder| RunDir::create(Some(folder), config, None, &Origin::default())).transpose()?;
-    terminal.print(&match &run_dir {
-        Some(run_dir) => format!("episodes and videos go to {}; Ctrl-C ends", run_dir.path().display()),
-        None => "Ctrl-C ends".to_owned(),
-    });
+    terminal.print("Ctrl-C ends");
     let Some(bus) = join_bus(&config.part(|config| &config.bus), &shutdown).await? else { return Ok(()) };
     let publisher = bus.weights_publisher().await?;
     publisher.publish(weights).await?;
-    let folder = run_dir.as_ref().map(RunDir::path);
-    let setup = services::evaluator_setup(config, NAME.to_owned(), folder, &goals.catalog);
-    let page = match page {
-        Some(page) if args.episodes.is_none() && run_dir.is_none() => {
-            let ended = services::show(setup, page, &bus, shutdown).await;
-            bus.close().await;
-            return ended;
-        }
-        page => page,
-    };
-    let (reports, evaluated) = watch::channel(None);
-    let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(false)));
-    let (progress, counted) = watch::channel(None);
-    // Show a bar only: without a terminal, the page shows the progress.
-    let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.clone(), || false));
-    let stop = Stop { now: shutdown, ..Stop::default() };
-    let listeners = Listeners { reports, progress, ..Listeners::default() };
-    let ended = services::evaluate(setup, listeners, page, bus.clone(), stop).await;
+    let setup = services::evaluator_setup(config, NAME.to_owned(), None, &goals.catalog);
+    let opened = services::Opened { page, about: about(args, goals), first, run };
+    let ended = services::show(setup, opened, &bus, shutdown).await;
     bus.close().await;
-    counting.await?;
-    shown.await?;
     ended
 }
 

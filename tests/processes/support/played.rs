@@ -12,7 +12,7 @@ use super::webdriver::Browser;
 pub(crate) fn played(folder: &Path, goals: &[&str]) -> Option<(Browser, Process)> {
     let driver = std::env::var_os("LODESTONE_CHROMEDRIVER")?;
     let mut command = lodestone(folder);
-    let (playing, _, address) = page(command.arg("play").args(goals).args(["--episodes", "1", "--run-dir", "played"]));
+    let (playing, _, address) = page(command.arg("play").args(goals));
     let browser = Browser::start(&driver, folder, &format!("http://{address}"));
     Some((browser, playing))
 }
