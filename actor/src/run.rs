@@ -107,9 +107,7 @@ pub async fn run(
     tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
     stepped?;
     if shared.lost_name.load(Ordering::Relaxed) {
-        let role = Role::Actor.as_str();
-        let advice = "choose another --id";
-        return Err(BusError::NameTaken { role, name: id.as_str().to_owned(), advice }.into());
+        return Err(BusError::NameTaken { role: Role::Actor, name: id.as_str().to_owned() }.into());
     }
     Ok(report)
 }

@@ -4,8 +4,10 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
+use zenoh::handlers::FifoChannelHandler;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
+use zenoh::query::Reply;
 use zenoh::sample::SampleKind;
 
 use super::{Bus, BusConfig, BusError, Followed};
@@ -57,29 +59,25 @@ impl Bus {
     /// once only, so its own copy must answer then, and the router's end of the answer can overtake that.
     ///
     /// # Errors
-    /// [`BusError::NameTaken`] if the other process stays, and the errors of [`Self::declare_alive`].
+    /// [`BusError::NameTaken`] if the other process stays, [`BusError::NoAnswer`] if that stays unknown, and the errors
+    /// of [`Self::declare_alive`].
     pub async fn declare_alive_alone(&self, role: Role, id: &str, patience: Duration) -> Result<AliveToken, BusError> {
         let deadline = Instant::now() + patience;
         let mut has_warned = false;
-        while self.is_alive(role, id).await? {
-            if Instant::now() >= deadline {
-                let advice = match role {
-                    Role::Learner => "there can be one only: end it, or choose another --run",
-                    _ => "choose another --id",
-                };
-                return Err(BusError::NameTaken { role: role.as_str(), name: id.to_owned(), advice });
+        loop {
+            let error = match self.is_alive(role, id).await {
+                Ok(false) => return self.declare_alive(role, id).await,
+                Ok(true) => BusError::NameTaken { role, name: id.to_owned() },
+                Err(error) => error,
+            };
+            if Instant::now() >= deadline || !matches!(error, BusError::NameTaken { .. } | BusError::NoAnswer) {
+                return Err(error);
             }
             if !std::mem::replace(&mut has_warned, true) {
-                tracing::warn!(
-                    role = role.as_str(),
-                    id,
-                    ?patience,
-                    "the name is in use; waiting for the other process to end"
-                );
+                tracing::warn!(%error, ?patience, "the name is in use, or may be; waiting");
             }
             tokio::time::sleep(LOOK_PERIOD).await;
         }
-        self.declare_alive(role, id).await
     }
 
     /// Returns whether a process with this name is alive.
@@ -87,13 +85,11 @@ impl Bus {
         let key = token_key(role, id)?;
         let asked = self.session.liveliness().get(&key).timeout(LOOK_TIMEOUT).await;
         let replies = asked.map_err(BusError::during(format!("looking for {key}")))?;
-        // Every process that answers has the token; zenoh's error replies mean a timeout.
-        while let Ok(reply) = replies.recv_async().await {
-            if reply.result().is_ok() {
-                return Ok(true);
-            }
+        match next_token(&replies).await? {
+            // Without a router, zenoh ends the query at once.
+            None if !self.is_connected().await => Err(BusError::NoAnswer),
+            token => Ok(token.is_some()),
         }
-        Ok(false)
     }
 
     /// Follows the live processes of `role`, including those that were alive before.
@@ -138,7 +134,7 @@ impl Bus {
 /// This opens a separate session, because the sessions of a run see no other run.
 ///
 /// # Errors
-/// Those of [`Bus::open`], or if the session fails.
+/// Those of [`Bus::open`], [`BusError::NoAnswer`], or if the session fails.
 pub async fn runs(config: &Valid<BusConfig>) -> Result<BTreeSet<String>, BusError> {
     let bus = Bus::open_within(keys::ROOT, config).await?;
     let names = ask_for_runs(&bus).await;
@@ -150,12 +146,20 @@ async fn ask_for_runs(bus: &Bus) -> Result<BTreeSet<String>, BusError> {
     let asked = bus.session.liveliness().get(keys::LIVE_IN_ALL_RUNS).timeout(RUNS_TIMEOUT).await;
     let replies = asked.map_err(BusError::during("looking for runs"))?;
     let mut names = BTreeSet::new();
-    while let Ok(reply) = replies.recv_async().await {
-        let name = reply.result().ok().and_then(|sample| sample.key_expr().as_str().split('/').next());
+    while let Some(key) = next_token(&replies).await? {
+        let name = key.split('/').next();
         // Any process may have declared the key.
         names.extend(name.filter(|name| keys::is_valid_run(name) && names.len() < MAX_RUNS).map(str::to_owned));
     }
     Ok(names)
+}
+
+/// Returns the key of the next token; `None` after the last.
+async fn next_token(replies: &FifoChannelHandler<Reply>) -> Result<Option<String>, BusError> {
+    let Ok(reply) = replies.recv_async().await else { return Ok(None) };
+    // Whoever answers has the token; zenoh's error replies mean a timeout.
+    let sample = reply.result().map_err(|_| BusError::NoAnswer)?;
+    Ok(Some(sample.key_expr().as_str().to_owned()))
 }
 
 /// Returns the key of the token of the process `id`.

@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use super::KeysError;
+use proto::Role;
 use proto::codec::{DecodeError, Refusal};
 
 /// An error of a session.
@@ -43,15 +44,16 @@ pub enum BusError {
     #[error("name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
     Name(String),
     /// Another live process has this name and role.
-    #[error("another live {role} of this run is called {name:?}; {advice}")]
+    #[error("another live {} of this run is called {name:?}; {}", role.as_str(), advice(*role))]
     NameTaken {
         /// The role.
-        role: &'static str,
+        role: Role,
         /// The name.
         name: String,
-        /// Advice for the user.
-        advice: &'static str,
     },
+    /// The router did not say in time which processes are alive.
+    #[error("the router does not say which processes are alive; see that it runs and is not overloaded")]
+    NoAnswer,
     /// Metrics cannot be serialized as JSON.
     #[error("metrics {key} cannot be written as JSON")]
     Json {
@@ -75,6 +77,13 @@ impl BusError {
     pub(super) fn during(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
         move |error| Self::Zenoh { action, error }
+    }
+}
+
+fn advice(role: Role) -> &'static str {
+    match role {
+        Role::Learner => "there can be one only: end it, or choose another --run",
+        _ => "choose another --id",
     }
 }
 

@@ -29,6 +29,9 @@ const NOTICE_SCHEMA: &str = "lodestone.v1.WeightsNotice";
 /// Timeout for a pull of the weights.
 const PULL_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// Interval between repetitions of the newest notice: the network drops notices rather than wait.
+const NOTICE_PERIOD: Duration = Duration::from_secs(2);
+
 /// Pause before a failed pull is retried.
 const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
@@ -42,7 +45,9 @@ const NOTHING_PAUSE_MS: std::ops::Range<u64> = 1000..3000;
 pub struct WeightsPublisher {
     epoch: u64,
     latest: Latest,
-    notices: Publisher<'static>,
+    notices: Arc<Publisher<'static>>,
+    newest: Arc<Mutex<Option<WeightsNotice>>>,
+    _repeater: AbortOnDropHandle<()>,
 }
 
 /// The side of actors and the evaluator: the newest weights that were pulled, or a value derived from them; `None`
@@ -77,8 +82,20 @@ impl Bus {
             .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(NOTICE_SCHEMA))
             .await
             .map_err(BusError::during("declaring the notices of weights"))?;
+        let (notices, newest) = (Arc::new(notices), Arc::<Mutex<Option<WeightsNotice>>>::default());
+        let (repeats, repeated) = (notices.clone(), newest.clone());
+        let repeater = AbortOnDropHandle::new(tokio::spawn(async move {
+            loop {
+                tokio::time::sleep(NOTICE_PERIOD).await;
+                let newest = repeated.lock().map(encode_notice);
+                if let Some(notice) = newest {
+                    // It fails if the session is closed, and then `publish` says so.
+                    let _ = repeats.put(notice).await;
+                }
+            }
+        }));
         // The time distinguishes a restarted learner from its predecessor.
-        Ok(WeightsPublisher { epoch: unix_ms(), latest, notices })
+        Ok(WeightsPublisher { epoch: unix_ms(), latest, notices, newest, _repeater: repeater })
     }
 
     /// Follows the newest weights from now on; a late joiner gets the current ones.
@@ -115,7 +132,7 @@ impl Bus {
         let learner_there = Matching::of_querier(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
         let (counts, asker, keep) = (self.counts.clone(), self.asker(), Arc::new(keep));
-        let puller = Puller { learner, learner_there, asker, notices, counts, held: None, keep, sender };
+        let puller = Puller { learner, learner_there, asker, notices, counts, held: None, told: None, keep, sender };
         let worker = AbortOnDropHandle::new(tokio::spawn(puller.run()));
         Ok(Followed { value: weights, _source: Box::new(worker), _open: self.clone() })
     }
@@ -134,6 +151,7 @@ impl WeightsPublisher {
         // Set the weights before the notice, so that no process pulls the old ones after it.
         self.latest.set(ZBytes::from(bytes));
         let notice = WeightsNotice { epoch: self.epoch, version: weights.version };
+        *self.newest.lock() = Some(notice);
         self.notices.put(encode_notice(notice)).await.map_err(BusError::during("giving notice of weights"))
     }
 }
@@ -157,8 +175,10 @@ struct Puller<T, K> {
     asker: Asker,
     notices: Subscriber<RingChannelHandler<Sample>>,
     counts: Arc<Mutex<BusCounts>>,
-    /// The notice that corresponds to the held weights.
+    /// The notice that corresponds to the held weights, or to newer ones that were invalid.
     held: Option<WeightsNotice>,
+    /// The newer notice that led to the next pull.
+    told: Option<WeightsNotice>,
     keep: Arc<K>,
     sender: watch::Sender<Option<Arc<T>>>,
 }
@@ -193,9 +213,13 @@ impl<T: Send + Sync + 'static, K: Fn(Weights) -> Option<T> + Send + Sync + 'stat
 
     /// Returns whether the notice announces newer weights. Within an epoch, the version must grow; another epoch is
     /// another learner process and always counts as newer.
-    fn is_newer(&self, notice: &Sample) -> bool {
+    fn is_newer(&mut self, notice: &Sample) -> bool {
         match decode_notice(&notice.payload().to_bytes()) {
-            Ok(notice) => self.held.is_none_or(|held| held.epoch != notice.epoch || held.version < notice.version),
+            Ok(notice) => {
+                let is_newer = self.held.is_none_or(|held| held.epoch != notice.epoch || held.version < notice.version);
+                self.told = is_newer.then_some(notice).or(self.told);
+                is_newer
+            }
             Err(error) => {
                 self.counts.lock().notices_invalid_total += 1;
                 tracing::debug!(%error, "invalid notice of weights");
@@ -229,7 +253,8 @@ impl<T: Send + Sync + 'static, K: Fn(Weights) -> Option<T> + Send + Sync + 'stat
                 }
             }
             Err(error) => {
-                // A retry would return the same bytes, so wait for the next notice.
+                // A retry would return the same bytes, so wait for a newer notice.
+                self.held = self.told.take().or(self.held);
                 self.counts.lock().weights_invalid_total += 1;
                 tracing::warn!(%error, "invalid weights");
             }

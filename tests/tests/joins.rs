@@ -150,7 +150,11 @@ async fn joins_beside_open_ones(protocol: &str) -> bool {
     let client = site.client("viewer").await;
     println!("{protocol}: joined after {:.2} s, beside {N_OPEN} open ones", start.elapsed().as_secs_f64());
     assert!(client.is_connected().await);
-    let joins = site.router.joins();
+    // The router counts the client a moment after it has answered.
+    let joins = match protocol {
+        "tcp" => site.router.joins(),
+        _ => Some(site.counted("the client", |counts| counts.n_joined > 0).await),
+    };
     let is_in_time = opening.elapsed() < JOIN_TIME;
     if is_in_time {
         let counts = JoinCounts { n_pending: N_OPEN, n_joined: 1, ..JoinCounts::default() };
@@ -179,9 +183,17 @@ async fn who_stands_still_is_dropped_and_counted() {
         }
         site.router.close().await;
     }
-    // Good keys make no difference.
-    let site = Site::open("quic").await;
-    let connection = within("QUIC", quic_client(&site, "actor").connect(site.at, "localhost").unwrap()).await.unwrap();
+    // Good keys make no difference. On a busy machine, the router may drop the connection before it is open.
+    let (site, connection) = within("QUIC", async {
+        loop {
+            let site = Site::open("quic").await;
+            match quic_client(&site, "actor").connect(site.at, "localhost").unwrap().await {
+                Ok(connection) => break (site, connection),
+                Err(_) => site.router.close().await,
+            }
+        }
+    })
+    .await;
     let start = Instant::now();
     within("the end of the connection", connection.closed()).await;
     println!("quic: dropped after {:.2} s", start.elapsed().as_secs_f64());
@@ -220,8 +232,16 @@ async fn members_talk_over_either_protocol() {
         let value = serde_json::Value::String("0123456789".repeat(500_000));
         publisher.put(&value).await.unwrap();
         let mut reader = viewer.metrics_subscriber("eval/summary").await.unwrap();
-        let sample = within("the value", reader.recv()).await.unwrap();
-        assert!(sample.value == value, "{protocol}");
+        // The router may know the evaluator's key a moment after the viewer has asked.
+        let sample = within("the value", async {
+            loop {
+                match tokio::time::timeout(Duration::from_secs(1), reader.recv()).await {
+                    Ok(sample) => break sample.unwrap(),
+                    Err(_) => reader.ask_latest().await.unwrap(),
+                }
+            }
+        });
+        assert!(sample.await.value == value, "{protocol}");
         // The router goes; both notice.
         site.router.close().await;
         for member in [&evaluator, &viewer] {

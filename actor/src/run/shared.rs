@@ -39,8 +39,8 @@ pub(super) struct Shared {
     /// One per thread.
     pub(super) progress: Mutex<Vec<Progress>>,
     pub(super) bus: Bus,
-    /// The last refused weights, so that weights refused by several threads count once.
-    pub(super) refused: Mutex<Weak<Weights>>,
+    /// Refused weights that a thread may refuse again, so that weights refused by several threads count once.
+    pub(super) refused: Mutex<Vec<Weak<Weights>>>,
     pub(super) actor: ActorId,
     /// Time since which the learner reports that another process owns the actor's name.
     pub(super) name_taken_since: Mutex<Option<Instant>>,
@@ -105,9 +105,10 @@ impl Shared {
     /// Counts unusable weights.
     pub(super) fn refuse(&self, weights: &Arc<Weights>, error: &PolicyError) {
         let mut refused = self.refused.lock();
+        refused.retain(|known| known.strong_count() > 0);
         let weak = Arc::downgrade(weights);
-        if !refused.ptr_eq(&weak) {
-            *refused = weak;
+        if !refused.iter().any(|known| known.ptr_eq(&weak)) {
+            refused.push(weak);
             self.bus.count_refused_weights();
             tracing::warn!(version = weights.version.0, %error, "weights refused");
         }

@@ -97,9 +97,10 @@ async fn every_segment_is_acknowledged_or_counted() {
     let settings_hash = setup(config()).settings().hash();
     assert!(taken.iter().all(|trajectory| trajectory.settings_hash == settings_hash));
     assert!(taken.iter().any(|trajectory| trajectory.status == Status::TimeLimit));
-    assert_eq!(report.n_trajectories_acked, taken.len() as u64);
-    assert_eq!(report.n_trajectories_acked, server.counts().accepted_total);
     let ActorDrops { stale_total, no_learner_total, .. } = report.dropped;
+    // What a paused machine does not answer in time may have been taken.
+    let n_sent = report.n_trajectories_acked..=report.n_trajectories_acked + no_learner_total;
+    assert!(n_sent.contains(&(taken.len() as u64)) && n_sent.contains(&server.counts().accepted_total), "{report:?}");
     assert!(stale_total > 0);
     assert_eq!(report.counters.n_segments, report.n_trajectories_acked + stale_total + no_learner_total);
 }

@@ -8,7 +8,7 @@ use proto::{Weights, WeightsVersion, codec};
 use tokio::sync::watch;
 use zenoh::Wait;
 
-use crate::cluster::{Cluster, until};
+use crate::cluster::{Cluster, until, within};
 use crate::samples;
 
 pub(crate) async fn until_version(
@@ -56,6 +56,20 @@ async fn late_joiner_gets_the_newest_weights() {
     let subscriber = cluster.client().await.weights_subscriber().await.unwrap();
     let first = until("weights", &mut subscriber.watch(), Option::is_some).await.unwrap();
     assert_eq!((first.version, first.parameters.len(), first.parameters[999_999]), (WeightsVersion(2), 1_000_000, 2.0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn notices_are_repeated_for_who_missed_them() {
+    let cluster = Cluster::start().await;
+    let publisher = cluster.client().await.weights_publisher().await.unwrap();
+    publisher.publish(Arc::new(samples::weights(1))).await.unwrap();
+    let script = cluster.script().await;
+    let notices = script.declare_subscriber("lodestone/default/weights/version/x").await.unwrap();
+    // The first may still have been on its way.
+    for _ in 0..2 {
+        let notice = within("a notice", notices.recv_async()).await.unwrap();
+        assert_eq!(codec::decode_notice(&notice.payload().to_bytes()).unwrap().version, WeightsVersion(1));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -164,7 +164,8 @@ async fn the_last_weights_are_evaluated_on_the_last_splits_too() {
 async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let dir = tempfile::tempdir().unwrap();
     let bus = Bus::isolated(dir.path()).await.unwrap();
-    let setup = one_goal(400, None);
+    // Never complete before it is interrupted.
+    let setup = one_goal(10_000, None);
     let (reports, seen) = watch::channel(None);
     let (progress, mut counted) = watch::channel(None);
     let listeners = Listeners { reports, progress, ..Default::default() };
@@ -172,16 +173,15 @@ async fn an_interrupted_evaluation_tells_of_every_episode_that_has_ended() {
     let service = start(setup, &bus, listeners, &stop);
     let publisher = bus.weights_publisher().await.unwrap();
     publisher.publish(Arc::new(weights())).await.unwrap();
-    // Long before the evaluation is complete.
     let some = within(counted.wait_for(|progress| progress.is_some_and(|progress| progress.n_ended > 0)));
     let n_ended = some.await.unwrap().unwrap().n_ended;
     stop.now.cancel();
     assert_eq!(within(service).await.unwrap().unwrap(), 0);
     let report = seen.borrow().clone().unwrap();
     assert!(!report.summary.is_complete);
-    assert_eq!(report.summary.n_planned, 400);
+    assert_eq!(report.summary.n_planned, 10_000);
     let n_told = report.summary.all.greedy.success.n_episodes;
-    assert!((n_ended..400).contains(&n_told), "{n_told} after {n_ended}");
+    assert!((n_ended..10_000).contains(&n_told), "{n_told} after {n_ended}");
     bus.close().await;
 }
 
