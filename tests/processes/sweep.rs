@@ -1,6 +1,6 @@
 //! A sweep: it trains its points, survives its end at any time, and compares what there is.
 
-use std::fs;
+use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -43,10 +43,19 @@ fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
     let args = ["--grid", "learner.gamma=0.9,0.95", "--seeds", "2"];
     let begin = || {
         let mut command = sweep(folder.path(), &args);
-        let mut running = Process(command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
+        let mut running = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
         let lines = lines(running.0.stdout.take().unwrap());
         (running, lines)
     };
+    // Runs wait for this lock before they train.
+    let held = |run: &str| {
+        let run = folder.path().join("s").join(run);
+        fs::create_dir_all(&run).unwrap();
+        let metrics = File::create(run.join("metrics.jsonl")).unwrap();
+        metrics.lock().unwrap();
+        metrics
+    };
+    let [second, third] = ["point-2/seed-1", "point-1/seed-2"].map(held);
     let (mut killed, mut lines) = begin();
     see(&mut lines, "[1/4] learner.gamma=0.9, seed 1", ": done");
     see(&mut lines, "[2/4] learner.gamma=0.95, seed 1", ": training in");
@@ -59,21 +68,20 @@ fn a_sweep_that_is_killed_and_interrupted_goes_on_with_what_is_not_finished() {
     let (mut interrupted, mut lines) = begin();
     see(&mut lines, "[2/4] ", ": waiting for the process that trains it");
     kill("-CONT", orphan);
+    drop(second);
     see(&mut lines, "[2/4] ", ": done");
     see(&mut lines, "[3/4] learner.gamma=0.9, seed 2", ": training in");
-    // On a busy machine the interruption can come one run late.
     interrupt(&interrupted);
+    assert!(crate::support::program::lines(interrupted.0.stderr.take().unwrap()).any(|line| line.contains("stopping")));
+    drop(third);
     let rest: Vec<String> = lines.collect();
     assert!(interrupted.0.wait().unwrap().success());
-    let is_interrupted = |k: &str| rest.iter().any(|line| line.starts_with(k) && line.contains("interrupted"));
-    let k = ["[3/4]", "[4/4]"].iter().position(|k| is_interrupted(k)).unwrap_or_else(|| panic!("{rest:?}"));
-    let left = &["[3/4]", "[4/4]"][k..];
-    let note = format!("{} runs are not finished; go on with", left.len());
-    assert!(rest.iter().any(|line| line.starts_with(&note)), "{rest:?}");
+    assert!(rest.iter().any(|line| line.starts_with("[3/4]") && line.contains("interrupted")), "{rest:?}");
+    assert!(rest.iter().any(|line| line.starts_with("2 runs are not finished; go on with")), "{rest:?}");
 
     let all = printed(&mut sweep(folder.path(), &args));
     let trained: Vec<&str> = all.lines().filter(|line| line.contains(": training in")).map(|line| &line[..5]).collect();
-    assert_eq!(trained, left, "{all}");
+    assert_eq!(trained, ["[3/4]", "[4/4]"], "{all}");
     for gamma in ["0.9", "0.95"] {
         let row = format!("| learner.gamma={gamma} | greedy | 2 | ");
         assert!(table(&all).contains(&row), "{all}");

@@ -105,7 +105,10 @@ pub async fn once(
     let its_config = config.clone();
     let start = Instant::now();
     following(config, start, shutdown, async |mut run, shutdown| {
-        let arrives = timeout(patience, run.wait_for(RunView::has_summary));
+        let arrives = async {
+            drop(timeout(patience, run.wait_for(|run| run.link == Link::Connected)).await?);
+            timeout(patience, run.wait_for(RunView::has_summary)).await
+        };
         let Some(arrived) = shutdown.run_until_cancelled(arrives).await else { return Ok(String::new()) };
         match arrived.map(|run| run.is_ok()) {
             Ok(true) => {}

@@ -1,8 +1,9 @@
 //! Trains the runs of a sweep, each in a process of this program.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::PipeReader;
 use std::process::Command;
+use std::time::Duration;
 
 use anyhow::Context;
 use parking_lot::Mutex;
@@ -13,6 +14,9 @@ use super::plan::{Plan, Run};
 use super::results::RunResult;
 use crate::exit::INTERRUPTED;
 use crate::live::Terminal;
+
+/// Interval between checks of whether the process that trains a run has ended.
+const LOOK_PERIOD: Duration = Duration::from_millis(100);
 
 /// Trains runs, several at a time.
 pub(super) struct Pool {
@@ -62,10 +66,19 @@ impl Pool {
         // on; one that was started by hand has that of the run.
         let lock = RunPaths::new(&run.folder).lock();
         let lock = File::create(&lock).with_context(|| format!("opening {}", lock.display()))?;
+        let mut is_said = false;
         for file in [&output, &lock] {
-            if file.try_lock().is_err() {
-                say("waiting for the process that trains it");
-                file.lock().context("waiting for the lock of a run")?;
+            while let Err(error) = file.try_lock() {
+                if let TryLockError::Error(error) = error {
+                    return Err(error).context("locking a run");
+                }
+                if self.shutdown.is_cancelled() {
+                    return Ok(());
+                }
+                if !std::mem::replace(&mut is_said, true) {
+                    say("waiting for the process that trains it");
+                }
+                std::thread::sleep(LOOK_PERIOD);
             }
         }
         drop(lock);
