@@ -247,18 +247,19 @@ impl Outlets<'_> {
 
     async fn put(&mut self, report: EvalReport) -> anyhow::Result<()> {
         let evaluation = Evaluation::new(&report, unix_ms());
-        drop(self.listeners.evaluations.send(evaluation.clone()));
-        self.evaluations.push(&evaluation);
-        self.publishers.history.set(&self.evaluations.overview())?;
+        // First, so that whoever is told of it finds it in the files.
         if let Some(mut open) = self.records.take() {
-            let report = report.clone();
+            let (report, row) = (report.clone(), evaluation.clone());
             // Off the async runtime, because the disk and readers of the history may be slow.
             let kept = tokio::task::spawn_blocking(move || {
-                open.keep(&report, evaluation);
+                open.keep(&report, row);
                 open
             });
             self.records = Some(kept.await.context("the recording thread panicked")?);
         }
+        self.evaluations.push(&evaluation);
+        self.publishers.history.set(&self.evaluations.overview())?;
+        drop(self.listeners.evaluations.send(evaluation));
         self.publishers.publish(&report).await?;
         self.listeners.reports.send_replace(Some(Arc::new(report.clone())));
         self.last = Some(report);

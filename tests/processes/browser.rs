@@ -425,8 +425,9 @@ fn a_draft_is_opened_turned_undone_and_saved_under_its_name() {
 fn a_video_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;
-    browser.until("document.querySelector('#videos figure:first-child button')");
-    browser.element("#videos figure:first-child button").click();
+    // At once, because a newer video replaces the buttons.
+    let buttons = "[...document.querySelectorAll('#videos figure:first-child button')]";
+    browser.until(&format!("{buttons}.map((button) => button.click()).length"));
     // The page has opened with another episode.
     let is_told = "document.querySelector('#replay-note').textContent.includes(' in an evaluation of weights ')";
     browser.until(&format!("{is_told} && replay.episode && !document.querySelector('#replay-player').hidden"));
@@ -468,10 +469,14 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     let before = watched.evaluated_after(0);
     browser.until(IS_ESTIMATED);
     assert_eq!(watched.complaints(), Vec::<Value>::new());
-    browser.run("window.mark = true");
+    browser.run(
+        "[window.mark, window.states] = [true, []];
+         const note = ([{ target }]) => window.states.push(target.textContent);
+         new MutationObserver(note).observe(document.querySelector('#state'), { childList: true })",
+    );
     watched.line.cut();
-    state("reconnecting");
     state("no answer");
+    assert_eq!(browser.run("return window.states"), json!(["reconnecting", "no answer"]));
     // What was already shown stays visible, but nothing is about to come.
     assert!(browser.text("#groups caption").contains("weights"));
     browser.until(&format!("!({IS_ESTIMATED})"));

@@ -16,6 +16,9 @@ const TASK: [&str; 6] =
 /// Environment steps that are more than enough to learn the task.
 const ENOUGH_STEPS: u64 = 200_000;
 
+/// How often to try to start a router.
+const ROUTER_STARTS: usize = 10;
+
 struct Cluster {
     folder: tempfile::TempDir,
     endpoint: String,
@@ -25,11 +28,17 @@ struct Cluster {
 impl Cluster {
     fn start() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        // This port was free a moment ago. Members retry until the router listens on it.
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let endpoint = format!("tcp/127.0.0.1:{port}");
-        let router = quiet(folder.path(), &["router", "--listen", &endpoint]).spawn().unwrap();
-        Self { folder, endpoint, _router: Process(router) }
+        let start = |_| {
+            // This port was free a moment ago. If another process has taken it, the router ends.
+            let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+            let endpoint = format!("tcp/127.0.0.1:{port}");
+            let mut router = quiet(folder.path(), &["router", "--listen", &endpoint]);
+            let mut router = Process(router.stderr(Stdio::piped()).spawn().unwrap());
+            let is_there = lines(router.0.stderr.take().unwrap()).any(|line| line.contains("routing"));
+            is_there.then_some((endpoint, router))
+        };
+        let (endpoint, router) = (0..ROUTER_STARTS).find_map(start).expect("no router found its port free");
+        Self { folder, endpoint, _router: router }
     }
 
     fn member(&self, role: &str, args: &[&str]) -> Process {

@@ -179,7 +179,8 @@ fn the_keyboard_alone_chooses_steps_and_draws() {
     browser.until("replay.time > 1");
     reach("#draw-open");
     browser.keys(ENTER);
-    browser.until("document.querySelector('#draw-palette [data-type=\"1x1x1\"]')");
+    // Each answer to a check draws the palette anew.
+    browser.until("editor.found.blocks && document.querySelector('#draw-palette [data-type=\"1x1x1\"]')");
     reach("#draw-palette [data-type='1x1x1']");
     // The canvas has the focus once a block is chosen.
     browser.keys(&format!("{ENTER}{ENTER}"));

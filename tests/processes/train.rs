@@ -105,14 +105,16 @@ fn a_signal_drains_and_saves() {
 #[test]
 fn a_signal_drains_and_saves_though_nobody_reads_what_is_said() {
     let folder = tempfile::tempdir().unwrap();
-    let mut training = train(folder.path(), &["--steps", "40960"]);
+    // One that misses the signal is ended later, and that is no success.
+    let mut training = command("timeout", folder.path());
+    training.args(["--foreground", "300", LODESTONE, "train", "--run-dir", "run", "--steps", "1000000000"]);
+    training.args(SMALL).args(SAVED);
     let mut child = training.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     drop(child.stderr.take());
     assert!(lines(child.stdout.take().unwrap()).any(|line| line.contains("steps/s")));
     kill("-TERM", child.id());
     assert!(child.wait().unwrap().success());
-    let n_steps = n_saved_steps(&folder.path().join("run"));
-    assert!((256..40960).contains(&n_steps), "{n_steps}: it went on to its end");
+    assert!(n_saved_steps(&folder.path().join("run")) >= 256);
 }
 
 #[test]

@@ -334,6 +334,7 @@ async fn too_many_browsers_leave_room_for_probes() {
     assert_eq!(served.status("/healthz", "").await, 200);
     let metrics = served.get("/metrics").await;
     assert!(metrics.contains(&format!("lodestone_page_viewers{{run=\"r\"}} {MAX_VIEWERS}.0\n")), "{metrics}");
+    drop(listeners);
     served.end().await;
 }
 
@@ -381,6 +382,7 @@ async fn connections_that_say_too_little_are_few_and_short() {
         // The server may have left bytes unread.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
+    drop(lines);
     served.end().await;
 }
 

@@ -83,6 +83,8 @@ export class Snapshots {
     } catch {
       // The event stream reports that the server is unreachable.
     }
+    // The first one may be on its way to the disk.
+    if (this.all.length === 0) setTimeout(() => { this.asked = -Infinity; }, 1000);
     this.draw();
   }
 

@@ -400,7 +400,7 @@ export class Stage {
     for (const one of builders) {
       const episode = await this.episode(one, isWanted);
       if (!episode) return;
-      if (one.agent === "policy" && this.snapshots.all.length > 0) episode.caption = this.snapshots.caption(one.weights);
+      if (one.agent === "policy" && (one.weights !== null || this.snapshots.all.length > 0)) episode.caption = this.snapshots.caption(one.weights);
       episodes.push(episode);
     }
     const [{ actor, weights_version: version, blueprint, title, goal }] = episodes;
