@@ -33,6 +33,11 @@ COMMAND = (sys.executable, "-m", "lodestone.record")
 RANDOM = SimpleNamespace(act=lambda env: env.action_space.sample())
 
 
+def setUpModule() -> None:
+    # Shells have what they start in the background ignore it, and so would what is started here.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 class Recording(unittest.TestCase):
     def setUp(self) -> None:
         folder = tempfile.TemporaryDirectory()

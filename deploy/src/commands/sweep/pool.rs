@@ -78,6 +78,7 @@ impl Pool {
                 if !std::mem::replace(&mut is_said, true) {
                     say("waiting for the process that trains it");
                 }
+                #[expect(clippy::disallowed_methods, reason = "a lock cannot be waited for with a timeout")]
                 std::thread::sleep(LOOK_PERIOD);
             }
         }
