@@ -11,6 +11,7 @@ mod tables;
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
+use tokio::runtime::Handle;
 use tokio_util::sync::CancellationToken;
 
 use super::common::serve_command;
@@ -113,7 +114,8 @@ async fn train(
     shutdown: &CancellationToken,
 ) -> anyhow::Result<()> {
     let (stdin, open) = std::io::pipe()?;
-    let pool = Pool { plan: plan.clone(), terminal: terminal.clone(), shutdown: shutdown.clone(), stdin };
+    let runtime = Handle::current();
+    let pool = Pool { plan: plan.clone(), terminal: terminal.clone(), shutdown: shutdown.clone(), runtime, stdin };
     let mut training = tokio::task::spawn_blocking(move || pool.train(&runs, n_jobs));
     tokio::select! {
         ended = &mut training => return ended?,

@@ -8,6 +8,8 @@ use std::time::Duration;
 use anyhow::Context;
 use parking_lot::Mutex;
 use runlog::RunPaths;
+use tokio::runtime::Handle;
+use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
 use super::plan::{Plan, Run};
@@ -23,6 +25,7 @@ pub(super) struct Pool {
     pub(super) plan: Plan,
     pub(super) terminal: Terminal,
     pub(super) shutdown: CancellationToken,
+    pub(super) runtime: Handle,
     /// The standard input of all processes. A training saves and ends when its other end is closed, so it also ends with
     /// this process, however that ends.
     pub(super) stdin: PipeReader,
@@ -72,14 +75,13 @@ impl Pool {
                 if let TryLockError::Error(error) = error {
                     return Err(error).context("locking a run");
                 }
-                if self.shutdown.is_cancelled() {
-                    return Ok(());
-                }
                 if !std::mem::replace(&mut is_said, true) {
                     say("waiting for the process that trains it");
                 }
-                #[expect(clippy::disallowed_methods, reason = "a lock cannot be waited for with a timeout")]
-                std::thread::sleep(LOOK_PERIOD);
+                let pause = async { self.shutdown.run_until_cancelled(sleep(LOOK_PERIOD)).await };
+                if self.runtime.block_on(pause).is_none() {
+                    return Ok(());
+                }
             }
         }
         drop(lock);
