@@ -359,7 +359,7 @@ pub struct PlayArgs {
     /// Do not open the page in a browser, which happens where a terminal and a display are.
     #[arg(long)]
     pub(crate) no_open: bool,
-    /// Set one configuration key, for example evaluator.episodes.starts=scattered; may be repeated.
+    /// Set one configuration key, for example environment.episode_steps=140; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub(crate) set: Vec<String>,
 }

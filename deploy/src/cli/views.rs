@@ -33,7 +33,7 @@ pub struct WatchArgs {
     /// Print JSON; without --once, one line per change, at most one a second.
     #[arg(long)]
     pub(crate) json: bool,
-    /// Longest time that --once waits, in seconds.
+    /// Longest time that --once waits for a router, and then for the run, in seconds.
     #[arg(long, value_name = "S", default_value_t = 30, requires = "once", value_parser = clap::value_parser!(u64).range(1..=86_400))]
     pub(crate) timeout: u64,
 }
