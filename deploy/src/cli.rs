@@ -326,9 +326,10 @@ pub struct EvaluatorArgs {
 #[derive(Debug, Args)]
 pub struct ExportArgs {
     /// Folder of a run (for its best policy, or else its newest checkpoint), of its `checkpoints` (for the newest), or of
-    /// one of them.
-    #[arg(long, value_name = "DIR")]
-    pub(crate) checkpoint: PathBuf,
+    /// one of them, or a file written by `export`. If repeated, the mean of policies that were learned from one another,
+    /// which often does better than each of them.
+    #[arg(long, value_name = "DIR_OR_FILE", required = true)]
+    pub(crate) checkpoint: Vec<PathBuf>,
     /// Output file, which must not exist.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,

@@ -72,6 +72,32 @@ impl Model {
         Self { policy: policy.clone(), weights, verdict: None, table: network.table().to_vec() }
     }
 
+    /// Returns the mean of policies that were learned from one another, which often does better than each of them
+    /// (Wortsman et al., 2022, *Model soups*). Everything but the parameters is the first one's.
+    ///
+    /// # Errors
+    /// The index of the first policy whose configuration or statistics of features differ.
+    ///
+    /// # Panics
+    /// If there is none.
+    pub fn mean(models: &[Self]) -> Result<Self, usize> {
+        let first = &models[0];
+        let fits = |model: &Self| {
+            let [own, others] = [first, model].map(|model| &model.weights.normalization);
+            let is_same = own.feature_mean == others.feature_mean && own.feature_std == others.feature_std;
+            is_same && model.policy == first.policy && model.table == first.table
+        };
+        if let Some(odd) = models.iter().position(|model| !fits(model)) {
+            return Err(odd);
+        }
+        let mean = |k: usize| {
+            let sum: f64 = models.iter().map(|model| f64::from(model.weights.parameters[k])).sum();
+            (sum / models.len() as f64) as f32
+        };
+        let parameters = (0..first.weights.parameters.len()).map(mean).collect();
+        Ok(Self { weights: Weights { parameters, ..first.weights.clone() }, ..first.clone() })
+    }
+
     /// Serializes the model to the file's bytes.
     ///
     /// # Errors

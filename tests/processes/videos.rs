@@ -4,6 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Output, Stdio};
 
+use learner::read_model;
+
 use crate::support::judges::{output_of, python};
 use crate::support::program::{SMALL, finished, kill, lines, lodestone, refused};
 use crate::support::served::{Process, page};
@@ -67,6 +69,10 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let export = ["export", "--checkpoint", "run", "--out", "policy.safetensors"];
     finished(lodestone(folder.path()).args(export));
     refused(lodestone(folder.path()).args(export), 64, &["choose another --out"]);
+    let both = ["export", "--checkpoint", "run", "--checkpoint", "policy.safetensors", "--out", "mean.safetensors"];
+    finished(lodestone(folder.path()).args(both));
+    let policy = read_model(&folder.path().join("policy.safetensors")).unwrap();
+    assert_eq!(read_model(&folder.path().join("mean.safetensors")).unwrap(), policy);
     let play = ["play", "--checkpoint", "policy.safetensors", "2_001"];
     let (playing, _, _) = page(lodestone(folder.path()).args(play));
     drop(playing);

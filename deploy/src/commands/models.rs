@@ -121,7 +121,12 @@ pub(super) fn pretrained_success() -> serde_json::Value {
 }
 
 pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failure> {
-    let mut model = Source::read(&args.checkpoint)?.model;
+    let paths = &args.checkpoint;
+    let models: Vec<Model> = paths.iter().map(|path| Ok(Source::read(path)?.model)).collect::<Result<_, Failure>>()?;
+    let mut model = Model::mean(&models).map_err(|odd| {
+        let reason = "their networks or the statistics of their observations differ, so they have no mean";
+        Failure::Usage(format!("{} and {}: {reason}", paths[0].display(), paths[odd].display()))
+    })?;
     // Of this run, and nothing that acting needs.
     model.verdict = None;
     if args.out.exists() {

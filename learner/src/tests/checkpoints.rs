@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use proto::Weights;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use safetensors::SafeTensors;
@@ -248,6 +249,27 @@ fn model_round_trips_and_a_damaged_file_is_refused() {
     let alone = fs::read(folder.join("parameters.safetensors")).unwrap();
     let error = Model::from_bytes(&alone).unwrap_err().to_string();
     assert!(error.contains("no entry `lodestone`"), "{error}");
+}
+
+#[test]
+fn policies_that_belong_together_have_a_mean() {
+    let first = Model::from(&Learner::new(small_setup(4)).unwrap().checkpoint());
+    let mut second = first.clone();
+    second.weights.parameters.iter_mut().for_each(|x| *x += 0.5);
+    second.weights.normalization.value_mean = 4.0;
+    second.weights.n_env_steps += 1000;
+    let mean = Model::mean(&[first.clone(), second.clone()]).unwrap();
+    let off =
+        |found: &[f32], by: f32| found.iter().zip(&first.weights.parameters).any(|(a, b)| (a - b - by).abs() > 1e-6);
+    assert!(!off(&mean.weights.parameters, 0.25));
+    let parameters = first.weights.parameters.clone();
+    assert_eq!(Model { weights: Weights { parameters, ..mean.weights }, ..mean }, first, "the rest is the first one's");
+    assert_eq!(Model::mean(&[first.clone()]).unwrap(), first);
+    second.weights.normalization.feature_mean[1] = vec![0.1];
+    assert_eq!(Model::mean(&[first.clone(), first.clone(), second]).unwrap_err(), 2);
+    let other = small_setup(4).with_policy(|c| c.network.width = 32);
+    let wider = Model::from(&Learner::new(other).unwrap().checkpoint());
+    assert_eq!(Model::mean(&[first, wider]).unwrap_err(), 1);
 }
 
 /// Swaps the names of two tensors of one shape in a table.
