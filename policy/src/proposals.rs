@@ -31,8 +31,9 @@
 //! **Turning.** A block that touches another and has to turn first backs off as far as it needs for that. Otherwise, it
 //! would press against both walls of a corner forever.
 //!
-//! **Going back.** A block that hardly moved in the last step, though its gripper pushed it, is caught: it goes back by 30
-//! cm and a little up. The next step comes from another place. Without that, greedy actions would push forever.
+//! **Going back.** A block that moved by less than three quarters of what its gripper wanted in the last step is caught,
+//! or pushes another held block: it goes back by 30 cm and a little up. The next step comes from another place. Without
+//! that, greedy actions would push forever.
 //!
 //! **The detour.** If blocks of other pieces are between i and that point, i goes around them (`detour.rs`): straight
 //! ways through a structure were what broke most of its connections.
@@ -40,8 +41,8 @@
 //! **Parts of the way.** Of two pieces, the larger one waits until the smaller one is aligned, so high that there is room
 //! below the place where the other will be. Then both come, and the larger one goes a smaller part of the way. Pieces of
 //! one size go half of the way from the start. Where there is only one gripper, its block goes all the way. If nothing
-//! moved in the last step, because both grippers waited for blocks that nobody held, the larger piece goes itself, the
-//! slower the larger it is.
+//! moved in the last step, the larger piece rises by another step, because the way of the other may need more room below.
+//! If nobody held the other, it goes itself, the slower the larger it is.
 //!
 //! **Leveling.** A piece that is held, or waits, and reaches 40 cm and farther turns about the held block until it lies
 //! level, by 10 cm a step at its end: what hangs askew is higher up than need be, and breaks when it is let go.

@@ -32,10 +32,10 @@ const BACK_OFF_M: [f32; 2] = [0.05, 0.8];
 const SLACK_M: f32 = 0.003;
 
 /// Commanded speed from which a block can be blocked, m/s, with this radius for its turn, m.
-const PUSH_MPS: f32 = 0.3;
+const PUSH_MPS: f32 = 0.1;
 const PUSH_RADIUS_M: f32 = 0.05;
-/// Part of the commanded speed below which a block is blocked.
-const BLOCKED: f32 = 0.3;
+/// Part of the commanded speed below which a block is blocked. Two held blocks that push each other move at 0.4 to 0.7.
+const BLOCKED: f32 = 0.75;
 /// How far a blocked block goes back, m, and by how much of that it rises.
 const RETREAT_M: f32 = 0.3;
 const RETREAT_UP: f32 = 0.5;
@@ -172,12 +172,12 @@ impl Layout {
         self.step(i, &up(HOLD_M - self.frames[i.get()].position.z), &self.leveling(i))
     }
 
-    /// Returns i's move while j is on its way to `place_m`, in i's frame, where it will be in `n_steps`. The piece rises
-    /// and is leveled. A long one also comes, but not down, because the ways to its ends are long.
+    /// Returns i's move while j is on its way to `place_m`, in i's frame, where it will be in `n_steps`. The piece rises,
+    /// further if j does not move, because its way may need more room below, and is leveled. A long one also comes, but not down, because the ways to its ends are long.
     fn wait(&self, [i, j]: [BlockIdx; 2], place_m: &Vector3<f32>, n_steps: f32) -> Move {
         let own = &self.frames[i.get()];
         let place = own.position + own.axes * place_m;
-        let rise = up(HOLD_M - own.position.z.min(place.z));
+        let rise = if self.is_idle { up(STEP_M) } else { up(HOLD_M - own.position.z.min(place.z)) };
         if n_steps <= STILL_STEPS {
             return self.step(i, &rise, &Vector3::zeros());
         }
