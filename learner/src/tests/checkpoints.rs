@@ -264,7 +264,7 @@ fn policies_that_belong_together_have_a_mean() {
     assert!(!off(&mean.weights.parameters, 0.25));
     let parameters = first.weights.parameters.clone();
     assert_eq!(Model { weights: Weights { parameters, ..mean.weights }, ..mean }, first, "the rest is the first one's");
-    assert_eq!(Model::mean(&[first.clone()]).unwrap(), first);
+    assert_eq!(Model::mean(std::slice::from_ref(&first)).unwrap(), first);
     second.weights.normalization.feature_mean[1] = vec![0.1];
     assert_eq!(Model::mean(&[first.clone(), first.clone(), second]).unwrap_err(), 2);
     let other = small_setup(4).with_policy(|c| c.network.width = 32);

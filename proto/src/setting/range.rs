@@ -99,7 +99,7 @@ fn expected<T: Number>(range: &impl RangeBounds<T>) -> String {
     let low = match range.start_bound() {
         Bound::Included(low) => format!("at least {low}"),
         Bound::Excluded(low) => format!("above {low}"),
-        Bound::Unbounded => "any number".to_owned(),
+        Bound::Unbounded => "a finite number".to_owned(),
     };
     match (range.start_bound(), range.end_bound()) {
         (Bound::Included(low), Bound::Included(high)) => format!("{low}..={high}"),
@@ -117,6 +117,6 @@ mod tests {
     #[test]
     fn ranges_are_described_in_words() {
         let ranges = [expected(&above_to(0.0, 1.0)), expected(&(..7)), expected::<u8>(&(..))];
-        assert_eq!(ranges, ["above 0 and at most 1", "any number and below 7", "any number"]);
+        assert_eq!(ranges, ["above 0 and at most 1", "a finite number and below 7", "a finite number"]);
     }
 }
