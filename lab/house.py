@@ -32,7 +32,7 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so.
 CEILINGS = {
-    "lines of Rust outside lab/": 69_207,
+    "lines of Rust outside lab/": 69_211,
     "of it without tests and comments": 35_608,
     "settings": 115,
     "commands": 18,

@@ -73,6 +73,9 @@ fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     finished(lodestone(folder.path()).args(both));
     let policy = read_model(&folder.path().join("policy.safetensors")).unwrap();
     assert_eq!(read_model(&folder.path().join("mean.safetensors")).unwrap(), policy);
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/pretrained/model.safetensors");
+    let odd = ["export", "--checkpoint", "run", "--checkpoint", shipped, "--out", "none.safetensors"];
+    refused(lodestone(folder.path()).args(odd), 64, &["run and ", "model.safetensors", "they have no mean"]);
     let play = ["play", "--checkpoint", "policy.safetensors", "2_001"];
     let (playing, _, _) = page(lodestone(folder.path()).args(play));
     drop(playing);

@@ -125,7 +125,7 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
     let models: Vec<Model> = paths.iter().map(|path| Ok(Source::read(path)?.model)).collect::<Result<_, Failure>>()?;
     let mut model = Model::mean(&models).map_err(|odd| {
         let reason = "their networks or the statistics of their observations differ, so they have no mean";
-        Failure::Usage(format!("{} and {}: {reason}", paths[0].display(), paths[odd].display()))
+        Failure::Input(format!("{} and {}: {reason}", paths[0].display(), paths[odd].display()))
     })?;
     // Of this run, and nothing that acting needs.
     model.verdict = None;

@@ -172,8 +172,9 @@ impl Layout {
         self.step(i, &up(HOLD_M - self.frames[i.get()].position.z), &self.leveling(i))
     }
 
-    /// Returns i's move while j is on its way to `place_m`, in i's frame, where it will be in `n_steps`. The piece rises,
-    /// further if j does not move, because its way may need more room below, and is leveled. A long one also comes, but not down, because the ways to its ends are long.
+    /// Returns i's move while j is on its way to `place_m`, in i's frame, where it will be in `n_steps`. The piece rises
+    /// and is leveled. If both grippers only waited, it rises by a whole step, because the way of j may need more room
+    /// below. A long one also comes, but not down, because the ways to its ends are long.
     fn wait(&self, [i, j]: [BlockIdx; 2], place_m: &Vector3<f32>, n_steps: f32) -> Move {
         let own = &self.frames[i.get()];
         let place = own.position + own.axes * place_m;
