@@ -333,9 +333,6 @@ pub struct ExportArgs {
     /// Output file, which must not exist.
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
-    /// Write the network as an ONNX graph, for other runtimes.
-    #[arg(long)]
-    pub(crate) onnx: bool,
 }
 
 /// Arguments of `play`.

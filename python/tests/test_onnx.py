@@ -1,4 +1,4 @@
-"""Tests that the graph of `lodestone export --onnx` computes in onnxruntime what the policy computes.
+"""Tests that the graph of lodestone_onnx.py computes in onnxruntime what the policy computes.
 
 python -m unittest discover -s python/tests
 """
@@ -6,14 +6,13 @@ python -m unittest discover -s python/tests
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import tempfile
 import unittest
 from pathlib import Path
 
 import golden
 import lodestone
+import lodestone_onnx
 import lodestone_torch
 import numpy as np
 import onnxruntime
@@ -22,14 +21,12 @@ from lodestone_torch import MASKED, N_BLOCKS, N_RELATION, N_SLOTS, Config, Draw,
 
 # Maximum deviation, relative to the largest entry of an output, because a single one may happen to be close to 0.
 TOLERANCE = 2e-5
-PROGRAM = os.environ.get("LODESTONE_PROGRAM")
 
 
-def exported(path: Path) -> onnxruntime.InferenceSession:
+def exported(policy: Policy) -> onnxruntime.InferenceSession:
     with tempfile.TemporaryDirectory() as folder:
         graph = Path(folder, "policy.onnx")
-        command = [str(PROGRAM), "export", "--checkpoint", str(path), "--out", str(graph), "--onnx"]
-        subprocess.run(command, check=True, capture_output=True)
+        lodestone_onnx.export(policy, graph)
         return onnxruntime.InferenceSession(str(graph), providers=["CPUExecutionProvider"])
 
 
@@ -84,7 +81,6 @@ def expected(policy: Policy, feed: dict[str, np.ndarray]) -> dict[str, torch.Ten
     return outputs
 
 
-@unittest.skipUnless(PROGRAM, "LODESTONE_PROGRAM names no program, so no graph was exported")
 class Onnx(unittest.TestCase):
     def assert_close(self, ours: np.ndarray, wanted: np.ndarray, what: str) -> None:
         self.assertEqual(ours.shape, wanted.shape, what)
@@ -96,20 +92,21 @@ class Onnx(unittest.TestCase):
 
     def test_each_kind_of_policy_computes_the_same(self) -> None:
         made = (golden.gaussian(), without_attention(), golden.mixture(1), golden.mixture(2), normalized())
-        for policy, b in ((policy, b) for policy in made for b in (1, 2, 5)):
-            with self.subTest(policy.network.config, b=b), tempfile.TemporaryDirectory() as folder:
-                policy.save(Path(folder, "policy.safetensors"))
-                session, feed = exported(Path(folder, "policy.safetensors")), inputs(policy, b)
-                self.assertEqual([x.name for x in session.get_inputs()], list(feed))
-                wanted = expected(policy, feed)
-                names = [x.name for x in session.get_outputs()]
-                self.assertEqual(set(names), set(wanted))
-                for name, ours in zip(names, session.run(None, feed), strict=True):
-                    self.assert_close(ours, wanted[name].numpy(), name)
+        for policy in made:
+            session = exported(policy)
+            for b in (1, 2, 5):
+                with self.subTest(policy.network.config, b=b):
+                    feed = inputs(policy, b)
+                    self.assertEqual([x.name for x in session.get_inputs()], list(feed))
+                    wanted = expected(policy, feed)
+                    names = [x.name for x in session.get_outputs()]
+                    self.assertEqual(set(names), set(wanted))
+                    for name, ours in zip(names, session.run(None, feed), strict=True):
+                        self.assert_close(ours, wanted[name].numpy(), name)
 
     def test_the_shipped_policy_acts_as_itself(self) -> None:
         """In real scenes: the same values, and the same greedy draws of both grippers."""
-        native, session = lodestone.Policy.pretrained(), exported(golden.PRETRAINED)
+        native, session = lodestone.Policy.pretrained(), exported(Policy.load(golden.PRETRAINED))
         envs = lodestone.AssemblyVectorEnv(4, blueprint=["3_000", "6_005", "test_14_000"], features="paper")
         seen, _ = envs.reset(seed=1)
         for step in range(15):

@@ -51,7 +51,6 @@ Examples:
 pub(super) const EXPORT: &str = "\
 Examples:
   lodestone export --checkpoint runs/NAME --out policy.safetensors    For play, eval, and Python
-  lodestone export --checkpoint runs/NAME --out policy.onnx --onnx    For other runtimes
   lodestone export --checkpoint runs/A --checkpoint runs/B --out mean.safetensors";
 
 pub(super) const REPORT: &str = "\

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use evaluator::Policy;
-use learner::{Checkpoint, CheckpointError, Model, read_model, to_onnx};
+use learner::{Checkpoint, CheckpointError, Model, read_model};
 use proto::Valid;
 
 use super::best;
@@ -132,11 +132,7 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
     if args.out.exists() {
         return Err(Failure::Input(format!("{} is there already; choose another --out", args.out.display())));
     }
-    let bytes = if args.onnx {
-        to_onnx(&model).map_err(|error| Failure::Usage(error.to_string()))?
-    } else {
-        model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?
-    };
+    let bytes = model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?;
     let n_bytes = bytes.len();
     let n_steps = model.weights.n_env_steps;
     let name = args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
