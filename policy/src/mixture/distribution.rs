@@ -7,6 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 
 use super::{ActionRows, Draw, Row};
+use crate::distribution::MASKED_LOGIT;
 use crate::proposals::{Proposals, Slot};
 
 /// The distribution for one scene with G grippers; borrows one row of the network's output.
@@ -31,13 +32,44 @@ pub struct DrawnAction {
     pub log_prob: f32,
 }
 
+/// First blocks that a greedy action tries until something moves.
+const GREEDY_TRIES: usize = 3;
+
+/// What counts as a move, in fractions of the speed limits.
+const LEAST_MOVE: f32 = 0.05;
+
+impl DrawnAction {
+    fn moves_something(&self) -> bool {
+        self.action.moves.iter().flatten().any(|x| x.abs() > LEAST_MOVE)
+    }
+}
+
 impl MixtureDistribution<'_> {
     /// Draws an action, or in greedy mode takes the most probable option of each draw (the first of equals) and the
     /// mean of its move. Returns `None` if a logit is not finite.
+    ///
+    /// A greedy action that moves nothing would be taken for ever. The first gripper then takes its next most probable
+    /// block, up to [`GREEDY_TRIES`] blocks in all, if that leads to a move.
     pub fn act(&self, mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<DrawnAction> {
+        let blocks = &self.logits[..N_BLOCKS];
+        let drawn = self.act_after(choose(blocks, mode, rng)?, mode, rng)?;
+        if mode == ActionMode::Sampled || drawn.moves_something() {
+            return Some(drawn);
+        }
+        let mut order: Vec<usize> = (0..N_BLOCKS).filter(|&at| blocks[at] > MASKED_LOGIT).collect();
+        order.sort_by(|&a, &b| blocks[b].total_cmp(&blocks[a]));
+        let others = order.into_iter().take(GREEDY_TRIES).skip(1);
+        let other = others
+            .filter_map(|at| self.act_after((at, log_softmax_at(blocks, at)), mode, rng))
+            .find(DrawnAction::moves_something);
+        Some(other.unwrap_or(drawn))
+    }
+
+    /// Draws the rest of an action, after the first gripper's block and its log-probability.
+    fn act_after(&self, first: (usize, f32), mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<DrawnAction> {
         let mut action = Action::IDLE;
         let mut slots = [None; N_GRIPPERS];
-        let mut log_prob = 0.0;
+        let (block, mut log_prob) = first;
         let mut row = Row::default();
         let mut choose = |logits: &[f32], rng: &mut ChaCha8Rng| {
             let (at, of_choice) = choose(logits, mode, rng)?;
@@ -45,7 +77,7 @@ impl MixtureDistribution<'_> {
             Some(at)
         };
 
-        let block = BlockIdx::try_from(choose(&self.logits[..N_BLOCKS], rng)? as u8).ok()?;
+        let block = BlockIdx::try_from(block as u8).ok()?;
         row.first_proposal(self.proposals, block);
         let first = Draw { block, slot: Slot::from_index(row.index(choose(&self.logits_of(&row, &[]), rng)?))? };
         (action.choices[0], slots[0]) = (Some(block), Some(first.slot));
