@@ -1,8 +1,8 @@
-//! The context of `docker build` holds what the build reads: compares .dockerignore with the manifests.
+//! The context of `docker build` holds what the build reads: compares .dockerignore with the workspace's members.
 
 use std::collections::BTreeSet;
 
-use crate::repository::{files, manifest, members, read, root, shown};
+use crate::repository::{files, members, read, root, shown};
 
 /// The patterns of .dockerignore, and whether each lets through what the ones before it exclude.
 fn patterns() -> Vec<(bool, Vec<String>)> {
@@ -45,17 +45,6 @@ fn is_sent(patterns: &[(bool, Vec<String>)], path: &str) -> bool {
     last.is_none_or(|(lets_through, _)| *lets_through)
 }
 
-/// The sections of a manifest that may name other crates.
-const SECTIONS: [&str; 7] =
-    ["dependencies", "dev-dependencies", "build-dependencies", "target", "workspace", "patch", "replace"];
-
-/// All paths that a section names, however deep.
-fn paths(section: &toml::Value) -> Vec<String> {
-    let Some(table) = section.as_table() else { return Vec::new() };
-    let own = table.get("path").and_then(toml::Value::as_str).map(str::to_owned);
-    own.into_iter().chain(table.values().flat_map(paths)).collect()
-}
-
 /// A path from `folder`, relative to the root.
 fn from_root(folder: &str, path: &str) -> String {
     let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
@@ -67,23 +56,6 @@ fn from_root(folder: &str, path: &str) -> String {
         }
     }
     parts.join("/")
-}
-
-/// The folders of all crates that cargo reads: members, and whatever they or the workspace name by a path.
-fn crates() -> BTreeSet<String> {
-    let named = |folder: &str| -> Vec<String> {
-        let manifest = manifest(&root().join(folder).join("Cargo.toml"));
-        let sections = SECTIONS.iter().filter_map(|section| manifest.get(*section));
-        sections.flat_map(paths).map(|path| from_root(folder, &path)).collect()
-    };
-    let mut found = BTreeSet::new();
-    let mut open = [members(), named("")].concat();
-    while let Some(folder) = open.pop() {
-        if found.insert(folder.clone()) {
-            open.extend(named(&folder));
-        }
-    }
-    found
 }
 
 /// What the build reads of a crate: its manifest, its build script, all files below `src`, and the files that these
@@ -108,10 +80,9 @@ fn sources(folder: &str) -> BTreeSet<String> {
 #[test]
 fn the_context_holds_what_the_build_reads() {
     let patterns = patterns();
-    let crates = crates();
-    assert!(crates.len() >= members().len());
+    let members = members();
     let needed =
-        crates.iter().flat_map(|folder| sources(folder)).chain(["Cargo.toml", "Cargo.lock"].map(str::to_owned));
+        members.iter().flat_map(|folder| sources(folder)).chain(["Cargo.toml", "Cargo.lock"].map(str::to_owned));
     let left_out: Vec<String> = needed.filter(|file| !is_sent(&patterns, file)).collect();
     assert_eq!(left_out, Vec::<String>::new(), ".dockerignore lets too little through");
 }
