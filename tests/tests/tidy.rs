@@ -112,13 +112,6 @@ fn the_algorithm_for_contributors_is_one_that_compiles() {
 }
 
 #[test]
-fn the_licenses_that_the_manifests_name_are_there() {
-    for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
-        assert!(root().join(name).is_file(), "{name} is missing");
-    }
-}
-
-#[test]
 fn all_files_name_the_same_version() {
     let version = |path: &str, section: &[&str]| {
         let table = toml::Value::Table(manifest(&root().join(path)));
