@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::judges::{output_of, output_of_script, python};
-use crate::support::program::{kill, lines, lodestone, metrics, n_saved_steps, printed_json, quiet, refused};
+use crate::support::program::{kill, lines, lodestone, metrics, n_saved_steps, printed_json, quiet};
 use crate::support::served::Process;
 
 /// The task of CI's learning test, saved often enough that a process can be killed at any time, and evaluated from the
@@ -114,21 +114,6 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
     let mut printed = lines(evaluator.0.stdout.take().unwrap());
     assert!(printed.any(|line| line.starts_with("weights")), "the evaluator printed no report");
     assert!(cluster.folder.path().join("evaluated/metrics.jsonl").is_file());
-}
-
-#[test]
-fn an_actor_with_other_settings_than_the_learner_ends_and_names_the_first() {
-    let cluster = Cluster::start();
-    let _learner = cluster.member("learner", &["--run-dir", "run"]);
-    for (set, difference) in [
-        ("policy.mask=none", r#"policy.mask is "blueprint" there and "none" here"#),
-        ("environment.magnets.snap_gap_m=0.02", "environment.magnets.snap_gap_m is 0.03 there and 0.02 here"),
-    ] {
-        let mut actor = quiet(cluster.folder.path(), &["actor", "--connect", &cluster.endpoint, "--set", set]);
-        actor.args(TASK).stderr(Stdio::piped());
-        // Supervisors do not start a process again after 64.
-        refused(&mut actor, 64, &[&format!("are of a run with other settings: {difference}")]);
-    }
 }
 
 #[test]
