@@ -82,17 +82,6 @@ fn tables_of_a_sweep_are_written() {
 }
 
 #[test]
-fn runs_with_the_same_folder_name_are_told_apart() {
-    let folder = tempfile::tempdir().unwrap();
-    for run in ["compact/seed-1", "resnet/seed-1"] {
-        write_run(&folder.path().join(run), &["2_000"], &[0, 500]);
-    }
-    printed(&mut report(folder.path(), &["compact/seed-1", "--out", "out", "--beside", "resnet/seed-1"]));
-    let table = std::fs::read_to_string(folder.path().join("out/comparison.csv")).unwrap();
-    assert!(table.contains("\ncompact/seed-1,0,") && table.contains("\nresnet/seed-1,500,"), "{table}");
-}
-
-#[test]
 fn what_cannot_be_shown_is_named_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let path = |run: &str| folder.path().join(run);
