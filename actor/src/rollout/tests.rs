@@ -106,12 +106,3 @@ fn new_weights_act_from_the_next_step_and_move_the_tasks() {
     rollout.set_weights(&toy::weights(3, VALUE)).unwrap();
     assert_eq!(run(&mut rollout, 2)[0].weights_version, WeightsVersion(3));
 }
-
-#[test]
-fn weights_of_another_network_are_refused_and_change_nothing() {
-    let mut rollout = rollout(&[&[Status::Running]], 1);
-    let weights = Weights { network_hash: 1, ..toy::weights(4, VALUE) };
-    let refused = rollout.set_weights(&weights);
-    assert!(matches!(refused, Err(RolloutError::Policy(PolicyError::OtherNetwork { .. }))), "{refused:?}");
-    assert_eq!(rollout.version(), WeightsVersion(0));
-}

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use blueprints::{Catalog, Split};
 use environment::EnvironmentConfig;
-use policy::{PolicyConfig, PolicyError};
+use policy::PolicyConfig;
 use proto::{ActionMode, Valid, WeightsVersion};
 
 use super::*;
@@ -109,14 +109,6 @@ fn what_an_interrupted_evaluation_found_is_reported() {
     let report = evaluate_followed(&setup, performer(), &blueprints(1), &follower).unwrap();
     let summary = &report.summary;
     assert_eq!((summary.is_complete, summary.n_planned, summary.all.greedy.success.n_episodes), (false, 3, 2));
-}
-
-#[test]
-fn weights_of_another_network_are_refused() {
-    let setup = small_setup(EpisodeConfig { n_episodes: 1, ..Default::default() });
-    let other = Weights { network_hash: 1, ..weights() };
-    let result = evaluate(&setup, &small_policy(), &other, &blueprints(1), &|| true);
-    assert!(matches!(result, Err(EvalError::Policy(PolicyError::OtherNetwork { .. }))));
 }
 
 #[test]
