@@ -224,14 +224,6 @@ mod tests {
     }
 
     #[test]
-    fn a_video_of_an_unknown_blueprint_is_refused() {
-        let videos = |id: &str| VideosConfig { blueprints: vec![id.parse().unwrap()], ..VideosConfig::default() };
-        assert_eq!(videos("2_000").check_in(Catalog::builtin()), Ok(()));
-        let error = videos("2_999").check_in(Catalog::builtin()).unwrap_err().to_string();
-        assert_eq!(error, "the catalog has no blueprint 2_999");
-    }
-
-    #[test]
     fn the_last_evaluation_covers_more() {
         let selection = Selection { splits: vec![Split::Train, Split::Validation], ..Default::default() };
         let last_splits = vec![Split::Test, Split::Train];
