@@ -63,10 +63,4 @@ mod tests {
             assert!(Schedule::Line(unordered).check_in("key", &(-1.0..=1.0)).is_err());
         }
     }
-
-    #[test]
-    fn both_forms_are_read() {
-        assert_eq!(serde_json::from_str::<Schedule>("0.5").unwrap(), Schedule::Constant(0.5));
-        assert_eq!(serde_json::from_str::<Schedule>("[[5, 1.0]]").unwrap(), Schedule::Line(vec![(5, 1.0)]));
-    }
 }
