@@ -42,10 +42,15 @@ fn one_command_starts_a_run_and_continues_it_after_a_kill() {
     drop(trained(folder.path(), 1));
     let second = n_saved_steps(&run);
     assert!(second > first, "{second} after {first}");
-    assert_eq!(read_json(&run.join("meta.json"))["resumed_from"], "run");
+    let resumed_from = || read_json(&run.join("meta.json"))["resumed_from"].clone();
+    assert_eq!(resumed_from(), "run");
 
     // A run that already has its steps ends at once, and successfully.
     finished(train(folder.path()).args(["--steps", "1"]));
+    // One that was ended before its first checkpoint begins again.
+    fs::remove_dir_all(run.join("checkpoints")).unwrap();
+    drop(trained(folder.path(), 1));
+    assert_eq!(resumed_from(), serde_json::Value::Null);
 }
 
 #[test]
@@ -71,18 +76,9 @@ fn steps_only_grow_for_readers_of_a_run_that_was_killed() {
 }
 
 #[test]
-fn a_run_that_was_ended_before_its_first_checkpoint_begins_again() {
+fn a_start_that_is_refused_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    drop(trained(folder.path(), 1));
-    fs::remove_dir_all(folder.path().join("run/checkpoints")).unwrap();
-    drop(trained(folder.path(), 1));
-    assert_eq!(read_json(&folder.path().join("run/meta.json"))["resumed_from"], serde_json::Value::Null);
-}
-
-#[test]
-fn a_second_process_is_refused_before_it_writes_anything() {
-    let folder = tempfile::tempdir().unwrap();
-    let _training = trained(folder.path(), 1);
+    let training = trained(folder.path(), 1);
     let files = ["config.toml", "meta.json"].map(|name| folder.path().join("run").join(name));
     let contents =
         || files.each_ref().map(|file| (fs::read(file).unwrap(), fs::metadata(file).unwrap().modified().unwrap()));
@@ -91,14 +87,8 @@ fn a_second_process_is_refused_before_it_writes_anything() {
         refused(lodestone(folder.path()).args(args), 2, &["another process learns in run"]);
     }
     assert_eq!(contents(), before);
-}
 
-#[test]
-fn a_start_that_cannot_be_made_changes_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    drop(trained(folder.path(), 1));
-    let config = || fs::read(folder.path().join("run/config.toml")).unwrap();
-    let before = config();
+    drop(training);
     let refused = |args: &[&str], code, words: &str| {
         refused(lodestone(folder.path()).arg("train").args(args), code, &[words]);
     };
@@ -106,7 +96,7 @@ fn a_start_that_cannot_be_made_changes_nothing() {
     refused(&["--resume", "run", "--blueprint", "6_005"], 2, "goes on with the goals that it began with");
     refused(&["--resume", "run", "--set", "policy.network.width=16"], 66, "does not fit this learner");
     refused(&["--init-from", "run", "--preset", "quickstart", "--run-dir", "other"], 66, "does not fit");
-    assert_eq!(config(), before);
+    assert_eq!(contents(), before);
     assert!(!folder.path().join("other").exists());
     refused(&["--resume", "other"], 66, "other does not exist");
 }
