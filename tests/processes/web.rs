@@ -6,6 +6,7 @@ use std::fs::{self, Permissions};
 use std::io::Read;
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::mpsc::channel;
 use std::time::Duration;
@@ -17,13 +18,14 @@ use runlog::{History, RunPaths};
 use serde_json::Value;
 
 #[test]
-fn a_page_shows_a_run_while_it_lasts() {
+fn a_page_shows_a_run_while_it_lasts_and_prometheus_reads_its_numbers() {
     let folder = tempfile::tempdir().unwrap();
-    let (mut run, _printed, address) = endless(folder.path());
+    let (mut run, mut printed, address) = endless(folder.path());
     // Read events until an evaluation arrives; every connection that is read to its end waits for the run.
     let mut events = events(&address);
     assert!(events.any(|line| line == "event: evaluation"));
     assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
+    assert!(events.any(|line| line.contains("\"key\":\"actor/")));
 
     assert_eq!(get(&address, "/readyz").0, 200);
     assert!(get(&address, "/").1.contains("<title>Lodestone</title>"));
@@ -31,13 +33,61 @@ fn a_page_shows_a_run_while_it_lasts() {
     assert_eq!((&history["schema_version"], &history["blueprints"][0]["id"]), (&2.into(), &"5_001".into()));
     assert_eq!(history["evaluations"][0]["all"]["greedy"]["n_episodes"], 2);
     assert!(get(&address, "/metrics").1.contains("lodestone_alive_processes{run=\"smoke\",role=\"actor\"} 1.0\n"));
+    // The one request that is refused.
+    let stranger = client().get(format!("http://{address}/")).header("Host", "evil.example").call().unwrap();
+    assert_eq!(stranger.status(), 403);
+    let families = python().map(|python| output_of(&python, "scrape.py", &[&format!("http://{address}/metrics")]));
 
     interrupt(&run);
     // The event stream ends with the run and does not delay its end.
     events.for_each(drop);
+    printed.read_to_string(&mut String::new()).unwrap();
     assert!(run.0.wait().unwrap().success());
     assert!(TcpStream::connect(&address).is_err());
-    assert!(n_saved_steps(&folder.path().join("run")) > 0);
+    let run = folder.path().join("run");
+    assert!(n_saved_steps(&run) > 0);
+    if let Some(families) = families {
+        check_scrape(&families, &run);
+    }
+}
+
+/// Checks that what Prometheus read is on disk. After the run has ended, everything that it measured is.
+fn check_scrape(families: &Value, run: &Path) {
+    let samples = |name: &str, kind: &str| {
+        let family = &families[format!("lodestone_{name}")];
+        assert_eq!(family["type"], kind, "{name}");
+        let of = |sample: &Value| {
+            let mut labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
+            assert_eq!(labels.remove("run").as_deref(), Some("smoke"));
+            (labels.into_values().collect::<Vec<_>>().join(" "), sample[2].as_f64().unwrap())
+        };
+        family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
+    };
+    let of_all = |name| samples(name, "gauge")["greedy all"];
+    let version = samples("eval_weights_version", "gauge")[""];
+    let evaluations = History::read(&RunPaths::new(run).history()).unwrap();
+    let evaluation = evaluations.iter().find(|evaluation| evaluation.weights_version.0 as f64 == version).unwrap();
+    let success = evaluation.blueprints[0].greedy.success;
+    assert_eq!(of_all("eval_group_success_ratio"), success.rate);
+    assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
+    assert_eq!(samples("eval_group_episodes", "gauge")["greedy train 2-6"], success.n_episodes as f64);
+    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["greedy 5_001 train"], success.rate);
+
+    let n_updates = samples("learner_updates", "counter")[""];
+    let is_same = |line: &Value| line["key"] == "learner" && line["n_updates"].as_f64() == Some(n_updates);
+    let learner = metrics(run).into_iter().find(is_same).unwrap();
+    let recorded = |value: &Value| value.as_f64().unwrap();
+    assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
+    assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));
+    let drops = samples("learner_trajectories_dropped", "counter");
+    for reason in ["stale", "invalid", "name_taken"] {
+        assert_eq!(drops[reason], recorded(&learner["ingest"][format!("{reason}_total")]), "{reason}");
+    }
+    assert_eq!(samples("learner_back_pressure", "counter")[""], recorded(&learner["ingest"]["full_total"]));
+    assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 9);
+    assert_eq!(drops["unmade"], recorded(&learner["unmade_total"]));
+    assert_eq!(samples("learner_bus_dropped", "counter")["weights_refused"], 0.0);
+    assert_eq!(samples("page_dropped", "counter")["request_refused"], 1.0);
 }
 
 #[test]
@@ -57,62 +107,6 @@ fn play_opens_its_page_where_there_is_a_terminal_and_a_display() {
     std::thread::spawn(move || tell.send(fs::read_to_string(opened)));
     let address = told.recv_timeout(Duration::from_secs(60)).expect("the browser is started").unwrap();
     assert!(get(address.trim().strip_prefix("http://").unwrap(), "/").1.contains("<title>Lodestone</title>"));
-}
-
-#[test]
-fn prometheus_reads_the_numbers_that_were_recorded() {
-    let Some(python) = python() else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let (mut run, mut printed, address) = endless(folder.path());
-    let mut events = events(&address);
-    assert!(events.any(|line| line == "event: evaluation"));
-    assert!(events.any(|line| line.contains("\"key\":\"learner\"")));
-    assert!(events.any(|line| line.contains("\"key\":\"actor/")));
-    // The one request that is refused.
-    let stranger = client().get(format!("http://{address}/")).header("Host", "evil.example").call().unwrap();
-    assert_eq!(stranger.status(), 403);
-    let families = output_of(&python, "scrape.py", &[&format!("http://{address}/metrics")]);
-    interrupt(&run);
-    events.for_each(drop);
-    printed.read_to_string(&mut String::new()).unwrap();
-    assert!(run.0.wait().unwrap().success());
-
-    // After the run has ended, everything that it measured is on disk.
-    let samples = |name: &str, kind: &str| {
-        let family = &families[format!("lodestone_{name}")];
-        assert_eq!(family["type"], kind, "{name}");
-        let of = |sample: &Value| {
-            let mut labels: BTreeMap<String, String> = serde_json::from_value(sample[1].clone()).unwrap();
-            assert_eq!(labels.remove("run").as_deref(), Some("smoke"));
-            (labels.into_values().collect::<Vec<_>>().join(" "), sample[2].as_f64().unwrap())
-        };
-        family["samples"].as_array().unwrap().iter().map(of).collect::<BTreeMap<String, f64>>()
-    };
-    let of_all = |name| samples(name, "gauge")["greedy all"];
-    let version = samples("eval_weights_version", "gauge")[""];
-    let evaluations = History::read(&RunPaths::new(folder.path().join("run")).history()).unwrap();
-    let evaluation = evaluations.iter().find(|evaluation| evaluation.weights_version.0 as f64 == version).unwrap();
-    let success = evaluation.blueprints[0].greedy.success;
-    assert_eq!(of_all("eval_group_success_ratio"), success.rate);
-    assert_eq!(of_all("eval_group_success_wilson_low_ratio"), success.wilson_low);
-    assert_eq!(samples("eval_group_episodes", "gauge")["greedy train 2-6"], success.n_episodes as f64);
-    assert_eq!(samples("eval_blueprint_success_ratio", "gauge")["greedy 5_001 train"], success.rate);
-
-    let n_updates = samples("learner_updates", "counter")[""];
-    let is_same = |line: &Value| line["key"] == "learner" && line["n_updates"].as_f64() == Some(n_updates);
-    let learner = metrics(&folder.path().join("run")).into_iter().find(is_same).unwrap();
-    let recorded = |value: &Value| value.as_f64().unwrap();
-    assert_eq!(samples("learner_env_steps", "counter")[""], recorded(&learner["n_env_steps"]));
-    assert_eq!(samples("learner_entropy_nats", "gauge")[""], recorded(&learner["ppo"]["entropy"]));
-    let drops = samples("learner_trajectories_dropped", "counter");
-    for reason in ["stale", "invalid", "name_taken"] {
-        assert_eq!(drops[reason], recorded(&learner["ingest"][format!("{reason}_total")]), "{reason}");
-    }
-    assert_eq!(samples("learner_back_pressure", "counter")[""], recorded(&learner["ingest"]["full_total"]));
-    assert_eq!(samples("actor_trajectories_dropped", "counter").len(), 9);
-    assert_eq!(drops["unmade"], recorded(&learner["unmade_total"]));
-    assert_eq!(samples("learner_bus_dropped", "counter")["weights_refused"], 0.0);
-    assert_eq!(samples("page_dropped", "counter")["request_refused"], 1.0);
 }
 
 #[test]
