@@ -153,25 +153,20 @@ fn snapshots_of_a_run_build_from_the_same_start_one_after_another_and_side_by_si
     let eval = ["eval", "--episodes", "1", "--blueprint", "2_000"];
     let report = printed_json(lodestone(folder.path()).args(eval).args(["--json", "--checkpoint", &kept]));
     assert_eq!(report["summary"]["n_env_steps"], first);
+    check_choices(&browser, &address);
 }
 
-#[test]
-fn choices_come_back_with_the_address_and_what_is_used_is_on_the_screen() {
-    let Some(driver) = std::env::var_os("LODESTONE_CHROMEDRIVER") else { return };
-    let folder = tempfile::tempdir().unwrap();
-    train_on(folder.path());
-    let (_server, _printed, address) = page(lodestone(folder.path()).args(["serve", "run"]));
-    let address = format!(
-        "http://{address}/?find=5_0&actions=sampled&log=y&zoom=100,600&whole=1&blueprint=2_000&agent=expert&step=0"
-    );
-    let browser = Browser::start(&driver, folder.path(), "about:blank");
+/// Checks that choices come back with the address, and that what is used is on the screen.
+fn check_choices(browser: &Browser, address: &str) {
+    let address =
+        format!("{address}?find=5_0&actions=sampled&log=y&zoom=100,600&whole=1&blueprint=2_000&agent=expert&step=0");
     for width in [1280, 390] {
         let metrics = json!({ "width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 500 });
         browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
         browser.open(&address);
         assert_eq!(browser.run(include_str!("seen.js")), json!([]), "{width}");
     }
-    assert_eq!(errors(&browser), Vec::<Value>::new());
+    assert_eq!(errors(browser), Vec::<Value>::new());
 }
 
 #[test]
