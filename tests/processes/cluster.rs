@@ -1,5 +1,6 @@
 //! Router, learner, actors, and evaluator as separate processes over TCP, killed and replaced while they work.
 
+use std::ffi::OsStr;
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -117,14 +118,19 @@ fn a_run_reaches_its_goal_though_actors_come_and_go_and_the_learner_is_killed() 
 }
 
 #[test]
-fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
+fn programs_that_share_no_code_with_us_find_what_was_recorded() {
     let Some(python) = python() else { return };
     let cluster = Cluster::start();
     let _actor = cluster.member("actor", &[]);
     let _evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
-    cluster.learn(["--run-dir", "run"], 2048);
+    let saved = cluster.learn(["--run-dir", "run"], 2048);
+    check_readers(&python, &cluster);
+    check_trackers(&python, &cluster, saved);
+}
 
-    let summary = output_of(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--once"]);
+/// Checks that readers find the numbers that were recorded.
+fn check_readers(python: &OsStr, cluster: &Cluster) {
+    let summary = output_of(python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--once"]);
     let record = |key: &str, run: &str, is_same: &dyn Fn(&serde_json::Value) -> bool| {
         let mut recorded = metrics(&cluster.folder.path().join(run)).into_iter();
         let mut same = recorded.find(|line| line["key"] == key && is_same(line)).unwrap();
@@ -135,34 +141,29 @@ fn readers_that_share_no_code_with_us_find_the_numbers_that_were_recorded() {
     assert_eq!(summary, record("eval/summary", "evaluated", &version));
     assert!(summary["all"]["greedy"]["success"]["n_episodes"].as_u64().unwrap() > 0);
 
-    let history = output_of(&python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--history"]);
+    let history = output_of(python, "success.py", &[&cluster.endpoint, "--run", "smoke", "--history"]);
     let evaluation = history["evaluations"].as_array().unwrap().iter().find(|one| version(one)).unwrap();
     assert_eq!(evaluation["all"]["greedy"], summary["all"]["greedy"]["success"]);
 
     // Event files store 32-bit floats.
     let float = |number: &serde_json::Value| number.as_f64().unwrap() as f32;
     let path = |folder: &str| cluster.folder.path().join(folder).display().to_string();
-    let plotted = output_of(&python, "scalars.py", &[&path("run/tb/learner")]);
+    let plotted = output_of(python, "scalars.py", &[&path("run/tb/learner")]);
     let [step, entropy] = [0, 1].map(|i| &plotted["ppo/entropy"][0][i]);
     let update = record("learner", "run", &|line| line["n_env_steps"] == *step);
     assert_eq!(float(entropy), float(&update["ppo"]["entropy"]));
-    let plotted = output_of(&python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
+    let plotted = output_of(python, "scalars.py", &[&path("evaluated/tb/evaluator")]);
     let [step, success] = [0, 1].map(|i| &plotted["success-greedy/all"][0][i]);
     let summary = record("eval/summary", "evaluated", &|line| line["n_env_steps"] == *step);
     assert_eq!(float(success), float(&summary["all"]["greedy"]["success"]["rate"]));
 }
 
-#[test]
-fn trackers_are_told_what_was_recorded() {
-    let Some(python) = python() else { return };
-    let cluster = Cluster::start();
-    let _actor = cluster.member("actor", &[]);
-    let _evaluator = cluster.member("evaluator", &["--run-dir", "evaluated"]);
-    let saved = cluster.learn(["--run-dir", "run"], 2048);
+/// Checks that trackers are told what was recorded, from `saved` steps on.
+fn check_trackers(python: &OsStr, cluster: &Cluster, saved: u64) {
     let repository = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let store = cluster.folder.path().join("store");
     let track = |args: &[&str]| {
-        let mut track = Command::new(&python);
+        let mut track = Command::new(python);
         track.arg(repository.join("deploy/examples/track.py")).args(args).current_dir(cluster.folder.path());
         track.env("MLFLOW_ALLOW_FILE_STORE", "true").env("MLFLOW_TRACKING_URI", format!("file://{}", store.display()));
         track.env("WANDB_MODE", "offline").env("WANDB_ERROR_REPORTING", "false");
@@ -170,8 +171,7 @@ fn trackers_are_told_what_was_recorded() {
         track
     };
     let script = repository.join("tests/processes/tracked.py");
-    let tracked =
-        |tracker, folder: &Path| output_of_script(&python, &script, &[tracker, &folder.display().to_string()]);
+    let tracked = |tracker, folder: &Path| output_of_script(python, &script, &[tracker, &folder.display().to_string()]);
     let updates = || {
         let recorded = metrics(&cluster.folder.path().join("run")).into_iter();
         let updates = recorded.filter(|line| line["key"] == "learner");
