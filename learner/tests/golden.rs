@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use blueprints::{BlockIdx, BlueprintId};
+use blueprints::BlueprintId;
 use burn::tensor::{Device, Tensor, TensorData};
 use learner::adam::{Adam, BETA1, BETA2, EPSILON, LearningRate, clip_global_norm};
 use learner::advantages::{Estimator as _, Steps};
@@ -11,23 +11,15 @@ use learner::curriculum::Curriculum;
 use learner::gae::{self, Gae};
 use learner::loss::{RatioStatistics, policy_loss, value_loss};
 use policy::NetworkOutput;
-use policy::cpu::Outputs;
 use policy::loss_terms::{self, ActionTensors};
-use proto::{Action, Status};
+use proto::Status;
 use serde_json::Value;
 
-fn golden(name: &str) -> Value {
-    let path = format!("{}/tests/golden/{name}", env!("CARGO_MANIFEST_DIR"));
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
-}
+#[path = "../../policy/tests/reference/common.rs"]
+#[expect(dead_code)]
+mod common;
 
-/// Returns all numbers of a nested list in row-major order.
-fn flat(value: &Value) -> Vec<f32> {
-    match value {
-        Value::Array(rows) => rows.iter().flat_map(flat).collect(),
-        number => vec![number.as_f64().unwrap() as f32],
-    }
-}
+use common::{actions, floats, golden_path, outputs, read_json, read_ppo, values};
 
 fn close(name: &str, found: &[f32], expected: &[f32], tolerance: f32) {
     assert_eq!(found.len(), expected.len(), "{name}");
@@ -39,10 +31,10 @@ fn close(name: &str, found: &[f32], expected: &[f32], tolerance: f32) {
 
 #[test]
 fn gae_distinguishes_time_limit_from_termination() {
-    let golden = &golden("ppo.json")["gae"];
+    let golden = &read_ppo()["gae"];
     let (gamma, lambda) = (golden["gamma"].as_f64().unwrap() as f32, golden["lam"].as_f64().unwrap() as f32);
     let (n_steps, n) = (golden["T"].as_u64().unwrap() as usize, golden["N"].as_u64().unwrap() as usize);
-    let column = |name: &str, j: usize| -> Vec<f32> { (0..n_steps).map(|t| flat(&golden[name][t][j])[0]).collect() };
+    let column = |name: &str, j: usize| -> Vec<f32> { (0..n_steps).map(|t| floats(&golden[name][t][j])[0]).collect() };
     let bit = |name: &str, t: usize, j: usize| golden[name][t][j].as_bool().unwrap();
     for j in 0..n {
         let (rewards, values, final_values) = (column("rewards", j), column("values", j), column("final_values", j));
@@ -58,7 +50,7 @@ fn gae_distinguishes_time_limit_from_termination() {
             if status == Status::Running && t + 1 < n_steps {
                 continue;
             }
-            let last = if status == Status::Running { flat(&golden["bootstrap_value"][j])[0] } else { final_value };
+            let last = if status == Status::Running { floats(&golden["bootstrap_value"][j])[0] } else { final_value };
             let segment = first..t + 1;
             let (rewards, values) = (&rewards[segment.clone()], &values[segment.clone()]);
             let bootstrap = gae::bootstrap_value(status, last);
@@ -80,65 +72,49 @@ struct Ppo {
 
 impl Ppo {
     fn new() -> Self {
-        Self { golden: golden("ppo.json")["ppo"].take(), device: Device::flex().autodiff() }
+        Self { golden: read_ppo()["ppo"].take(), device: Device::flex().autodiff() }
     }
 
     fn vector(&self, value: &Value) -> Tensor<1> {
-        let values = flat(value);
+        let values = floats(value);
         let n = values.len();
         Tensor::from_data(TensorData::new(values, [n]), &self.device)
     }
 
     fn output(&self, which: &str) -> NetworkOutput {
-        let [locs, scales, logits, values] =
-            ["locs", "scales", "grip_logits", "value"].map(|name| flat(&self.golden[which][name]));
-        Outputs { locs, scales, logits, values, readouts: Vec::new() }.to_tensors(2, &self.device)
+        outputs(&self.golden[which]).to_tensors(2, &self.device)
     }
 
     fn actions(&self) -> ActionTensors {
-        let blocks = self.golden["action"]["block"].as_array().unwrap();
-        let actions: Vec<Action> = (0..blocks.len())
-            .map(|b| {
-                let moves = flat(&self.golden["action"]["move_matrix_16x6"][b]);
-                Action {
-                    choices: std::array::from_fn(|g| BlockIdx::try_from(flat(&blocks[b][g])[0] as u8).ok()),
-                    moves: std::array::from_fn(|i| std::array::from_fn(|k| moves[6 * i + k])),
-                }
-            })
-            .collect();
-        ActionTensors::new(actions.iter(), 2, &self.device)
+        ActionTensors::new(actions(&self.golden).iter(), 2, &self.device)
     }
-}
-
-fn to_vec<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().unwrap()
 }
 
 #[test]
 fn policy_loss_and_gradients_match() {
     let ppo = Ppo::new();
     let clip = ppo.golden["clip_eps"].as_f64().unwrap() as f32;
-    let mut advantages = flat(&ppo.golden["advantages"]);
+    let mut advantages = floats(&ppo.golden["advantages"]);
     gae::normalize(&mut advantages);
-    close("advantages", &advantages, &flat(&ppo.golden["advantages_normalised"]), 1e-6);
+    close("advantages", &advantages, &floats(&ppo.golden["advantages_normalised"]), 1e-6);
     let expected = &ppo.golden["variants"]["chosen_unique"];
     let output = ppo.output("new");
     let actions = ppo.actions();
     let log_prob = loss_terms::log_prob(&output, &actions);
     let old = loss_terms::log_prob(&ppo.output("old"), &actions).detach();
-    close("log-probabilities", &to_vec(log_prob.clone()), &flat(&expected["logp"]), 2e-6);
-    close("old log-probabilities", &to_vec(old.clone()), &flat(&expected["logp_old"]), 2e-6);
-    let statistics = RatioStatistics::new(&to_vec(log_prob.clone()), &to_vec(old.clone()), clip);
+    close("log-probabilities", &values(log_prob.clone()), &floats(&expected["logp"]), 2e-6);
+    close("old log-probabilities", &values(old.clone()), &floats(&expected["logp_old"]), 2e-6);
+    let statistics = RatioStatistics::new(&values(log_prob.clone()), &values(old.clone()), clip);
     assert_eq!(statistics.clip_fraction, expected["clip_fraction"].as_f64().unwrap());
     assert!((statistics.approx_kl - expected["approx_kl_k3"].as_f64().unwrap()).abs() < 1e-4);
     let advantage = ppo.vector(&ppo.golden["advantages_normalised"]);
     let ones = Tensor::ones([advantages.len()], &ppo.device);
     let loss = policy_loss(log_prob, old, ones, advantage, clip);
-    close("loss", &to_vec(loss.clone()), &flat(&expected["policy_loss_per_item"]), 1e-4);
+    close("loss", &values(loss.clone()), &floats(&expected["policy_loss_per_item"]), 1e-4);
     let gradients = loss.mean().backward();
     let moves = output.gaussians();
     for (name, leaf) in [("grad_logits", &output.logits), ("grad_locs", &moves.locs), ("grad_scales", &moves.scales)] {
-        close(name, &to_vec(leaf.grad(&gradients).unwrap()), &flat(&expected[name]), 2e-5);
+        close(name, &values(leaf.grad(&gradients).unwrap()), &floats(&expected[name]), 2e-5);
     }
 }
 
@@ -151,7 +127,7 @@ fn policy_loss_matches_for_other_log_probabilities() {
         let old = ppo.vector(&expected["logp_old"]);
         let advantage = ppo.vector(&ppo.golden["advantages_normalised"]);
         let ones = Tensor::ones([8], &ppo.device);
-        let loss = to_vec(policy_loss(log_prob, old, ones, advantage, 0.2).mean())[0];
+        let loss = values(policy_loss(log_prob, old, ones, advantage, 0.2).mean())[0];
         assert!((f64::from(loss) - expected["policy_loss"].as_f64().unwrap()).abs() < 1e-4, "{name}: {loss}");
     }
 }
@@ -160,7 +136,7 @@ fn policy_loss_matches_for_other_log_probabilities() {
 fn value_loss_matches() {
     let ppo = Ppo::new();
     let loss = value_loss(ppo.output("new").values, ppo.vector(&ppo.golden["returns"]));
-    close("loss", &to_vec(loss.mean()), &flat(&ppo.golden["value_loss"]["unclipped"]), 1e-6);
+    close("loss", &values(loss.mean()), &floats(&ppo.golden["value_loss"]["unclipped"]), 1e-6);
 }
 
 #[test]
@@ -170,32 +146,32 @@ fn entropies_match() {
         let output = ppo.output(which);
         let expected = &ppo.golden[name];
         let entropy = loss_terms::entropy(&output, None);
-        close(name, &to_vec(entropy.blocks), &flat(&expected["categorical"]), 1e-5);
-        close(name, &to_vec(entropy.moves), &flat(&expected["gaussian_expected_unique"]), 1e-5);
+        close(name, &values(entropy.blocks), &floats(&expected["categorical"]), 1e-5);
+        close(name, &values(entropy.moves), &floats(&expected["gaussian_expected_unique"]), 1e-5);
     }
 }
 
 #[test]
 fn adam_matches_after_global_norm_clipping() {
-    let golden = &golden("ppo.json")["adam_clip"];
+    let golden = &read_ppo()["adam_clip"];
     let number = |name: &str| golden[name].as_f64().unwrap() as f32;
     assert_eq!([golden["b1"].as_f64(), golden["b2"].as_f64()], [Some(BETA1), Some(BETA2)]);
     assert_eq!(number("eps"), EPSILON);
-    let mut parameters = flat(&golden["w0"]);
+    let mut parameters = floats(&golden["w0"]);
     let mut adam = Adam::new(parameters.len());
     for (step, gradient) in golden["raw_grads"].as_array().unwrap().iter().enumerate() {
-        let mut gradient = flat(gradient);
+        let mut gradient = floats(gradient);
         clip_global_norm(&mut gradient, number("max_grad_norm"));
         adam.step(&mut parameters, &gradient, LearningRate(number("lr")));
-        close("parameters", &parameters, &flat(&golden["w_after"][step]), 5e-7);
-        close("first moment", &adam.first, &flat(&golden["m_after"][step]), 1e-5);
-        close("second moment", &adam.second, &flat(&golden["v_after"][step]), 1e-5);
+        close("parameters", &parameters, &floats(&golden["w_after"][step]), 5e-7);
+        close("first moment", &adam.first, &floats(&golden["m_after"][step]), 1e-5);
+        close("second moment", &adam.second, &floats(&golden["v_after"][step]), 1e-5);
     }
 }
 
 #[test]
 fn paper_curriculum_matches() {
-    let golden = golden("curriculum.json");
+    let golden = read_json(&golden_path("curriculum.json"));
     let number = |name: &str| golden[name].as_f64().unwrap();
     let ids: Vec<BlueprintId> =
         (0..golden["n"].as_u64().unwrap()).map(|i| BlueprintId::try_from(format!("2_{i:03}")).unwrap()).collect();

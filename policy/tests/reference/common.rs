@@ -1,10 +1,13 @@
-//! Readers for the golden files, and the generator of their parameters and inputs.
+//! Readers for the golden files, of the learner too, and the generator of their parameters and inputs.
 
 use std::path::{Path, PathBuf};
 
+use blueprints::{BlockIdx, N_BLOCKS};
 use burn::tensor::Tensor;
+use policy::cpu::Outputs;
 use policy::features::N_EDGES;
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes};
+use proto::Action;
 use serde_json::Value;
 
 /// Largest relative error of results in `f32`.
@@ -18,6 +21,28 @@ pub(crate) fn golden_path(name: &str) -> PathBuf {
 pub(crate) fn read_json(path: &Path) -> Value {
     let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// Returns the file with a batch for PPO.
+pub(crate) fn read_ppo() -> Value {
+    read_json(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../learner/tests/golden/ppo.json"))
+}
+
+/// Returns the actions of that batch.
+pub(crate) fn actions(golden: &Value) -> Vec<Action> {
+    let blocks = numbers(&golden["action"]["block"]);
+    let moves = floats(&golden["action"]["move_matrix_16x6"]);
+    let action = |(blocks, moves): (&[f64], &[f32])| Action {
+        choices: std::array::from_fn(|g| BlockIdx::try_from(blocks[g] as u8).ok()),
+        moves: std::array::from_fn(|b| std::array::from_fn(|k| moves[6 * b + k])),
+    };
+    blocks.chunks_exact(2).zip(moves.chunks_exact(6 * N_BLOCKS)).map(action).collect()
+}
+
+/// Returns the outputs of a network for that batch.
+pub(crate) fn outputs(golden: &Value) -> Outputs {
+    let [locs, scales, logits, values] = ["locs", "scales", "grip_logits", "value"].map(|name| floats(&golden[name]));
+    Outputs { locs, scales, logits, values, readouts: Vec::new() }
 }
 
 /// Returns all numbers of a nested array in row-major order.
