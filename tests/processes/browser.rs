@@ -437,7 +437,7 @@ fn a_video_becomes_an_episode_with_its_goal_in_place_and_its_attention() {
 }
 
 #[test]
-fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
+fn a_page_that_loses_its_run_finds_it_again_and_says_when_it_has_ended() {
     let Some(watched) = Watched::start() else { return };
     let browser = &watched.browser;
     let state = |text: &str| browser.until(&format!("document.querySelector('#state').textContent === {text:?}"));
@@ -471,14 +471,12 @@ fn a_page_that_loses_its_run_says_so_and_finds_it_again() {
     // The browser itself logs what it could not load; the page must not log anything else.
     let complaints = watched.complaints();
     assert!(complaints.iter().all(|entry| entry["source"] == "network"), "{complaints:?}");
+    check_end(watched);
 }
 
-#[test]
-fn a_page_says_that_its_run_has_ended_and_how_to_see_it_again() {
-    let Some(mut watched) = Watched::start() else { return };
+/// Ends a run that its page has shown for a while: the page says so, and how to see the run again.
+fn check_end(mut watched: Watched) {
     let browser = &watched.browser;
-    watched.evaluated_after(0);
-    browser.until(IS_ESTIMATED);
     interrupt(&watched.run);
     browser.until("document.querySelector('#state').textContent === 'ended'");
     assert!(watched.run.0.wait().unwrap().success());
