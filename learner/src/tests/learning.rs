@@ -131,22 +131,16 @@ fn update_needs_a_full_batch() {
 }
 
 #[test]
-fn weights_depend_on_the_seed_alone() {
-    let weights = |seed| updated(&small_setup(seed), 256).weights();
-    assert_eq!(weights(1), weights(1));
-    assert_ne!(weights(1).parameters, weights(2).parameters);
-}
-
-#[test]
-fn weights_are_independent_of_the_number_of_threads() {
-    let weights = |n_threads| {
+fn weights_depend_on_the_seed_and_not_on_the_number_of_threads() {
+    let weights = |seed, n_threads| {
         // Four pieces per minibatch, which three threads cannot share evenly.
-        let setup = small_setup(1).with(|c| {
+        let setup = small_setup(seed).with(|c| {
             (c.batch_size, c.minibatch_size, c.n_threads) = (4 * PIECE_SIZE, 4 * PIECE_SIZE, Some(n_threads));
         });
         updated(&setup, 4 * PIECE_SIZE).weights()
     };
-    assert_eq!(weights(1), weights(3));
+    assert_eq!(weights(1, 1), weights(1, 3));
+    assert_ne!(weights(1, 1).parameters, weights(2, 1).parameters);
 }
 
 #[test]
