@@ -174,16 +174,6 @@ fn the_expert_builds_a_sample_of_the_catalog() {
 }
 
 #[test]
-fn a_report_of_the_expert_does_not_depend_on_the_threads() {
-    let sample: Vec<&Blueprint> = Catalog::builtin().iter().step_by(40).collect();
-    let report = |n_threads, n_worlds| {
-        let episodes = EpisodeConfig { n_threads, ..expert_setup().episodes };
-        of_expert(&EvalSetup { episodes, n_worlds, ..expert_setup() }, &sample)
-    };
-    assert_eq!(report(1, 1), report(3, 2));
-}
-
-#[test]
 fn the_expert_builds_goals_in_a_row_where_the_last_one_ended() {
     let setup = EvalSetup { reset_free: Some(ResetFreeConfig { n_runs: 2, n_goals: 3 }), ..expert_setup() };
     let found = of_expert(&setup, &blueprints(1)).summary.reset_free.unwrap();
