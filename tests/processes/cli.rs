@@ -3,6 +3,8 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use deploy::config::{Config, PRESETS};
+
 use crate::support::judges::{output_of_script, python};
 use crate::support::program::{finished, kill, lines, lodestone, names, printed, printed_json, refused};
 
@@ -145,24 +147,17 @@ fn layers_are_put_over_each_other_in_order() {
     }
 }
 
-/// The output of `train --print-config` with these arguments.
-fn config(folder: &Path, args: &[&str]) -> toml::Table {
-    printed(lodestone(folder).args(["train", "--print-config"]).args(args)).parse().unwrap()
-}
-
 #[test]
 fn a_printed_configuration_can_be_short_or_explained() {
     let folder = tempfile::tempdir().unwrap();
-    let print = |args: &[&str]| {
-        let print = ["train", "--print-config", "--preset", "laptop", "--set", "learner.gamma=0.9"];
-        printed(lodestone(folder.path()).args(print).args(args))
-    };
+    let printed = |args: &[&str]| printed(lodestone(folder.path()).args(["train", "--print-config"]).args(args));
+    let print = |args: &[&str]| printed(&[&["--preset", "laptop", "--set", "learner.gamma=0.9"][..], args].concat());
     let changed = print(&["--changed"]);
     assert_eq!(changed.trim(), "base = \"laptop\"\n[learner]\ngamma = 0.9");
     let explained = print(&["--changed", "--explain"]);
     assert!(explained.contains("\n# Discount γ per step (0 to 1; default 0.99).\ngamma = 0.9\n"), "{explained}");
     std::fs::write(folder.path().join("my.toml"), print(&["--explain"])).unwrap();
-    assert_eq!(config(folder.path(), &["--config", "my.toml"]), print(&[]).parse().unwrap());
+    assert_eq!(printed(&["--config", "my.toml"]), print(&[]));
 }
 
 #[test]
@@ -182,11 +177,11 @@ fn editors_get_a_schema_that_takes_every_preset_and_no_misspelled_key() {
         files.push(path(&format!("{number}.toml")));
         std::fs::write(&files[number], text).unwrap();
     }
-    for preset in deploy::config::PRESETS {
+    for preset in PRESETS {
         files.extend([path(preset.name), path(&format!("{}-whole", preset.name))]);
         std::fs::write(path(preset.name), preset.text).unwrap();
-        let whole = config(folder.path(), &["--preset", preset.name]).to_string();
-        std::fs::write(&files[files.len() - 1], whole).unwrap();
+        let whole = Config::parse(preset.text, preset.name).unwrap();
+        std::fs::write(&files[files.len() - 1], whole.to_toml()).unwrap();
     }
     let Some(python) = python() else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/schema.py");
