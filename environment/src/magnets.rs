@@ -180,27 +180,17 @@ fn face_of(magnet: &Magnet) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Translation3, UnitQuaternion};
-
     use super::*;
-
-    fn cube(i: u8) -> BlockIdx {
-        BlockIdx::try_from(i).unwrap()
-    }
-
-    fn at(x: f32, y: f32, yaw: f32) -> Isometry3<f32> {
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-        Isometry3::from_parts(Translation3::new(x, y, 0.05), rotation)
-    }
+    use crate::physics_tests::{at, block};
 
     fn pairs(b: Isometry3<f32>) -> Vec<MagnetPair> {
         let table = MagnetTable::new(Inventory::standard());
-        let frame_a = Frame::new(&at(0.0, 0.0, 0.0));
+        let frame_a = Frame::new(&at(0.0, 0.0, 0.05, 0.0));
         let frame_b = Frame::new(&b);
         let mut found = vec![];
-        table.for_each_pair((cube(0), &frame_a), (cube(1), &frame_b), 0.04, |pair| found.push(pair));
+        table.for_each_pair((block(0), &frame_a), (block(1), &frame_b), 0.04, |pair| found.push(pair));
         if !found.is_empty() {
-            assert!(table.may_touch((cube(0), &frame_a), (cube(1), &frame_b), 0.04));
+            assert!(table.may_touch((block(0), &frame_a), (block(1), &frame_b), 0.04));
         }
         found
     }
@@ -208,24 +198,25 @@ mod tests {
     #[test]
     fn a_cube_beside_a_cube_meets_it_with_one_pair() {
         // The +x face of one cube is at x = 0.05, the −x face of the other at 0.12 − 0.05 = 0.07.
-        let found = pairs(at(0.12, 0.0, 0.0));
+        let found = pairs(at(0.12, 0.0, 0.05, 0.0));
         assert_eq!(found.len(), 1);
         assert!((found[0].distance - 0.02).abs() < 1e-6);
         let force = found[0].attraction();
         // Halfway into the range: half of 8 N, toward the first block.
         assert!((force - Vector3::new(-4.0, 0.0, 0.0)).norm() < 1e-3, "{force}");
-        let placement = found[0].snap(&at(0.0, 0.0, 0.0), &at(0.12, 0.0, 0.0), &MagnetConfig::default()).unwrap();
+        let placement =
+            found[0].snap(&at(0.0, 0.0, 0.05, 0.0), &at(0.12, 0.0, 0.05, 0.0), &MagnetConfig::default()).unwrap();
         assert_eq!(placement, RelativePlacement { offset_half_units: [2, 0, 0], rotation: CubeRotation::IDENTITY });
     }
 
     #[test]
     fn a_snap_needs_gap_and_angle() {
         let snap = |b: Isometry3<f32>| {
-            pairs(b).iter().find_map(|p| p.snap(&at(0.0, 0.0, 0.0), &b, &MagnetConfig::default())).is_some()
+            pairs(b).iter().find_map(|p| p.snap(&at(0.0, 0.0, 0.05, 0.0), &b, &MagnetConfig::default())).is_some()
         };
-        assert!(snap(at(0.12, 0.0, 8_f32.to_radians())));
-        assert!(snap(at(0.12, 0.015, 0.0)));
-        assert!(!snap(at(0.135, 0.0, 0.0)), "35 mm");
-        assert!(!snap(at(0.12, 0.0, 20_f32.to_radians())), "20 degrees");
+        assert!(snap(at(0.12, 0.0, 0.05, 8_f32.to_radians())));
+        assert!(snap(at(0.12, 0.015, 0.05, 0.0)));
+        assert!(!snap(at(0.135, 0.0, 0.05, 0.0)), "35 mm");
+        assert!(!snap(at(0.12, 0.0, 0.05, 20_f32.to_radians())), "20 degrees");
     }
 }

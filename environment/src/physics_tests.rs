@@ -50,11 +50,11 @@ impl World {
     }
 }
 
-fn block(index: u8) -> BlockIdx {
+pub(crate) fn block(index: u8) -> BlockIdx {
     BlockIdx::try_from(index).unwrap()
 }
 
-fn at(x: f32, y: f32, z: f32, yaw: f32) -> Isometry3<f32> {
+pub(crate) fn at(x: f32, y: f32, z: f32, yaw: f32) -> Isometry3<f32> {
     Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw))
 }
 

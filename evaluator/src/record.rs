@@ -55,12 +55,12 @@ mod tests {
 
     use super::*;
     use crate::config::EpisodeConfig;
+    use crate::episodes::tests::small_setup;
     use crate::report::tests::goal;
 
     fn setup(n_threads: usize) -> EvalSetup<'static> {
         let episodes = EpisodeConfig { n_episodes: 3, n_threads, ..EpisodeConfig::default() };
-        let environment = Valid::default();
-        EvalSetup { catalog: Catalog::builtin(), environment, episodes, reset_free: None, n_worlds: 1, seed: 5 }
+        EvalSetup { environment: Valid::default(), n_worlds: 1, seed: 5, ..small_setup(episodes) }
     }
 
     /// The episodes by their place in the plan.

@@ -12,7 +12,7 @@ mod toy;
 use toy::Toy;
 pub(crate) use toy::scene;
 
-fn goal() -> &'static Blueprint {
+pub(crate) fn goal() -> &'static Blueprint {
     Catalog::builtin().of_split(Split::Train)[0]
 }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use blueprints::{Blueprint, Catalog, Split};
+use blueprints::{Catalog, Split};
 use environment::{Step, StepResult};
 use proto::codec::decode_recording;
 use proto::metrics::VideoCounts;
@@ -20,12 +20,8 @@ use crate::episodes::tests::{performer, small_setup, weights};
 use crate::pool::EvaluationPool;
 use crate::report::End;
 use crate::report::tests::episode;
-use crate::sequences::tests::scene;
+use crate::sequences::tests::{goal, scene};
 use crate::sequences::{EpisodeObserver, EpisodeSpec};
-
-fn blueprint() -> &'static Blueprint {
-    Catalog::builtin().of_split(Split::Train)[0]
-}
 
 fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
@@ -66,14 +62,14 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
 
 /// Plays an episode of one step with this end; returns whether it was recorded.
 fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
-    let spec = EpisodeSpec::new(blueprint(), Start::Scattered, 1, 0);
+    let spec = EpisodeSpec::new(goal(), Start::Scattered, 1, 0);
     let scene = scene();
-    let seen = Observation { scene: &scene, blueprint: blueprint() };
+    let seen = Observation { scene: &scene, blueprint: goal() };
     let Some(mut recording) = selector.begin(0, &spec, acting, seen) else { return false };
     let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
     let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
     selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, seen);
-    selector.end(recording, &spec, &scene, &episode(blueprint().id().as_str(), acting, end, 1));
+    selector.end(recording, &spec, &scene, &episode(goal().id().as_str(), acting, end, 1));
     true
 }
 
@@ -84,7 +80,7 @@ fn selector(config: &VideosConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
 #[test]
 fn nothing_is_recorded_once_every_wanted_video_is_taken() {
     let queue = Arc::new(ClipQueue::default());
-    let config = VideosConfig { blueprints: vec![blueprint().id().clone()], ..Default::default() };
+    let config = VideosConfig { blueprints: vec![goal().id().clone()], ..Default::default() };
     let selector = selector(&config, &queue);
     let success = End::Success { stable: true };
     assert!(!play(&selector, ActionMode::Sampled, success), "only one way of acting is recorded");
