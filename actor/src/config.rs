@@ -34,23 +34,3 @@ pub enum FullBacklog {
     /// Stop stepping until there is room. No step is wasted if actor and learner share the same cores.
     Pause,
 }
-
-#[cfg(test)]
-mod tests {
-    use proto::Valid;
-
-    use super::*;
-
-    #[test]
-    fn an_error_names_field_value_and_range() {
-        let table: [(ActorConfig, &str); 4] = [
-            (ActorConfig { n_threads: 0, ..Default::default() }, "actor.n_threads = 0: expected 1..=64"),
-            (ActorConfig { n_worlds: 2000, ..Default::default() }, "actor.n_worlds = 2000: expected 1..=1024"),
-            (ActorConfig { segment_len: 0, ..Default::default() }, "actor.segment_len = 0: expected 1..=1000"),
-            (ActorConfig { backlog_limit: 0, ..Default::default() }, "actor.backlog_limit = 0: expected 1..=100000"),
-        ];
-        for (config, message) in table {
-            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
-        }
-    }
-}

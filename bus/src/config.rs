@@ -205,19 +205,4 @@ mod tests {
             "bus.connect: with keys every endpoint is `quic/ADDRESS:PORT` or `tls/ADDRESS:PORT`, and tcp/10.0.0.1:7447 is not"
         );
     }
-
-    #[test]
-    fn config_errors_name_the_field_and_the_value() {
-        let check = |change: fn(&mut BusConfig), message: &str| {
-            let mut config = BusConfig::default();
-            change(&mut config);
-            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
-        };
-        check(|c| c.run = "My Run".into(), r#"bus.run = "My Run": expected 1 to 64 characters of a-z, 0-9 and -"#);
-        check(
-            |c| c.mode = BusMode::Client,
-            "bus.connect = []: expected a router's endpoint for a client, such as tcp/HOST:7447 with --connect",
-        );
-        check(|c| c.weights_mb_per_s = 0, "bus.weights_mb_per_s = 0: expected 1..=1000000");
-    }
 }

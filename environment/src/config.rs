@@ -120,28 +120,3 @@ impl RandomizationConfig {
         Ok(())
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_value_out_of_range_is_named_with_its_range() {
-        let message = |change: fn(&mut EnvironmentConfig)| {
-            let mut config = EnvironmentConfig::default();
-            change(&mut config);
-            Valid::new(config).unwrap_err().to_string()
-        };
-        assert_eq!(message(|c| c.n_grippers = 3), "environment.n_grippers = 3: expected 1..=2");
-        assert_eq!(message(|c| c.max_speed_mps = f32::NAN), "environment.max_speed_mps = NaN: expected 0.01..=10");
-        assert_eq!(
-            message(|c| c.magnets.snap_gap_m = 0.2),
-            "environment.magnets.snap_gap_m = 0.2: expected 0.001..=0.045"
-        );
-        assert_eq!(
-            message(|c| c.randomization.snap_gap_m = Some([0.03, 0.01])),
-            "environment.randomization.snap_gap_m = [0.03, 0.01]: expected the lower end first"
-        );
-        assert_eq!(message(|c| c.physics.friction = -1.0), "environment.physics.friction = -1: expected 0..=2");
-    }
-}

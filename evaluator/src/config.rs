@@ -213,15 +213,7 @@ fn are_distinct<T: PartialEq>(items: &[T]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use proto::Valid;
-
     use super::*;
-
-    #[test]
-    fn the_defaults_are_valid() {
-        assert_eq!(Valid::new(EvaluatorConfig::default()).err(), None);
-        assert_eq!(ResetFreeConfig::default().validate_at("reset_free"), Ok(()));
-    }
 
     #[test]
     fn the_last_evaluation_covers_more() {
@@ -234,31 +226,5 @@ mod tests {
         assert_eq!(n(&config.selection), 142 + 34);
         assert_eq!(config.last_selection().splits, [Split::Train, Split::Validation, Split::Test]);
         assert_eq!(n(&config.last_selection()), 142 + 34 + 10);
-    }
-
-    #[test]
-    fn an_error_names_field_value_and_range() {
-        type Spoil = fn(&mut EvaluatorConfig);
-        let table: [(Spoil, &str); 5] = [
-            (|c| c.every = Every::Steps(0), "evaluator.every.steps = 0: expected at least 1"),
-            (|c| c.every = Every::Minutes(f64::NAN), "evaluator.every.minutes = NaN: expected 0..=10000"),
-            (
-                |c| c.episodes.acting = vec![ActionMode::Greedy; 2],
-                "evaluator.episodes.acting = [\"greedy\", \"greedy\"]: expected \"greedy\", \"sampled\" or both",
-            ),
-            (
-                |c| c.reset_free = Some(ResetFreeConfig { n_goals: 0, ..Default::default() }),
-                "evaluator.reset_free.n_goals = 0: expected 1..=1000",
-            ),
-            (
-                |c| c.videos.groups = vec![Group::Train2To6; 2],
-                "evaluator.videos.groups = [\"train 2-6\", \"train 2-6\"]: expected names of groups, none twice",
-            ),
-        ];
-        for (spoil, message) in table {
-            let mut config = EvaluatorConfig::default();
-            spoil(&mut config);
-            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
-        }
     }
 }

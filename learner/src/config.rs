@@ -153,33 +153,3 @@ impl LearnerConfig {
         InvalidSetting::check(key, capacity, capacity >= self.batch_size, "at least batch_size")
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use proto::Valid;
-
-    use super::*;
-
-    #[test]
-    fn a_value_out_of_range_is_named() {
-        type Spoil = fn(&mut LearnerConfig);
-        let cases: [(Spoil, &str); 8] = [
-            (|c| c.gamma = 1.5, "learner.gamma = 1.5: expected 0..=1"),
-            (|c| c.gae_lambda = f32::NAN, "learner.gae_lambda = NaN: expected 0..=1"),
-            (|c| c.n_epochs = 0, "learner.n_epochs = 0: expected 1..=32"),
-            (|c| c.minibatch_size = 9000, "learner.minibatch_size = 9000: expected 1..=batch_size"),
-            (|c| c.loss.clip_range = 0.0, "learner.loss.clip_range = 0: expected above 0 and at most 1"),
-            (|c| c.mailbox.capacity_steps = 1, "learner.mailbox.capacity_steps = 1: expected at least batch_size"),
-            (|c| c.checkpoints.keep = 0, "learner.checkpoints.keep = 0: expected at least 1"),
-            (
-                |c| c.optimizer.learning_rate = f32::INFINITY,
-                "learner.optimizer.learning_rate = inf: expected above 0 and finite",
-            ),
-        ];
-        for (spoil, message) in cases {
-            let mut config = LearnerConfig::default();
-            spoil(&mut config);
-            assert_eq!(Valid::new(config).unwrap_err().to_string(), message);
-        }
-    }
-}
