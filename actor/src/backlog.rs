@@ -120,7 +120,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::toy::trajectory;
+    use crate::tests::toy::trajectory;
 
     async fn drain(backlog: &Backlog) -> Vec<u64> {
         backlog.close();

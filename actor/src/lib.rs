@@ -16,7 +16,7 @@ mod setup;
 mod streams;
 pub mod task;
 #[cfg(test)]
-mod toy;
+mod tests;
 
 pub use config::{ActorConfig, FullBacklog};
 pub use environment::EnvironmentConfig;

@@ -19,4 +19,4 @@ pub use web::{
 };
 
 #[cfg(test)]
-mod samples;
+mod tests;

@@ -20,10 +20,10 @@ mod convert;
 mod engine;
 mod grippers;
 mod magnets;
-#[cfg(test)]
-mod physics_tests;
 mod randomization;
 mod reset;
+#[cfg(test)]
+mod tests;
 
 pub use arrangement::{Arrangement, ArrangementError};
 pub use config::EnvironmentConfig;

@@ -181,7 +181,7 @@ fn face_of(magnet: &Magnet) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::physics_tests::{at, block};
+    use crate::tests::{at, block};
 
     fn pairs(b: Isometry3<f32>) -> Vec<MagnetPair> {
         let table = MagnetTable::new(Inventory::standard());

@@ -205,7 +205,7 @@ mod tests {
 
     use super::*;
     use crate::LearnerSetup;
-    use crate::fixtures::trajectory;
+    use crate::tests::fixtures::trajectory;
     use crate::tests::learning::small_setup;
 
     fn admission() -> Admission {

@@ -195,8 +195,8 @@ fn picked<T: Clone>(all: &[T], rows: &[usize]) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::trajectory;
     use crate::gae::Gae;
+    use crate::tests::fixtures::trajectory;
 
     const SUMS: Gae = Gae { gamma: 1.0, lambda: 1.0 };
 

@@ -77,7 +77,7 @@ mod tests {
     use proto::Joint;
 
     use super::*;
-    use crate::fixtures::{blueprint_id, trajectory};
+    use crate::tests::fixtures::{blueprint_id, trajectory};
 
     #[test]
     fn a_draw_succeeds_if_its_step_makes_or_breaks_the_connection() {

@@ -35,7 +35,7 @@ mod tests {
     use proto::EpisodeStats;
 
     use super::*;
-    use crate::fixtures::{blueprint_id, trajectory};
+    use crate::tests::fixtures::{blueprint_id, trajectory};
 
     #[test]
     fn only_finished_episodes_count() {

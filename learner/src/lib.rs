@@ -15,8 +15,6 @@ pub mod config;
 pub mod curriculum;
 mod draws;
 pub mod episodes;
-#[cfg(test)]
-mod fixtures;
 pub mod gae;
 pub mod learner;
 pub mod loss;

@@ -174,7 +174,7 @@ mod tests {
     use proto::Status;
 
     use super::*;
-    use crate::fixtures::trajectory;
+    use crate::tests::fixtures::trajectory;
     use crate::tests::learning::small_setup;
 
     fn mailbox(capacity_steps: usize) -> Mailbox {

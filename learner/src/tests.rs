@@ -2,6 +2,7 @@
 
 mod checkpoints;
 mod device;
+pub(crate) mod fixtures;
 pub(crate) mod learning;
 mod mixture;
 mod saving;

@@ -178,6 +178,4 @@ fn lock(history: &Path) -> Result<File, HistoryError> {
 }
 
 #[cfg(test)]
-pub(crate) mod samples;
-#[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -190,7 +190,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::history::samples::evaluation;
+    use crate::history::tests::samples::evaluation;
 
     #[test]
     fn overview_matches_a_hand_worked_history() {

@@ -130,7 +130,7 @@ fn evaluated(evaluations: &[&Evaluation], acting: ActionMode) -> Vec<Evaluated> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::history::samples::evaluation;
+    use crate::history::tests::samples::evaluation;
 
     const TWO: (&str, Split, u64) = ("2_000", Split::Train, 2);
     const TEN: (&str, Split, u64) = ("10_000", Split::Train, 10);

@@ -5,7 +5,7 @@ use proto::{EpisodeStats, RewardTerms, WeightsVersion};
 use super::*;
 use crate::config::ActorConfig;
 use crate::task::{TaskConfig, TaskFilter};
-use crate::toy::{self, Toy, id};
+use crate::tests::toy::{self, Toy, id};
 
 /// Untrained values are within a few standard deviations (0.001) of the mean in the weights.
 const VALUE: f32 = 5.0;

@@ -11,7 +11,7 @@ use tokio::sync::mpsc;
 use super::*;
 use crate::config::{ActorConfig, FullBacklog};
 use crate::task::{TaskConfig, TaskFilter};
-use crate::toy::{self, setup};
+use crate::tests::toy::{self, setup};
 
 fn config() -> ActorConfig {
     ActorConfig {

@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 
 use super::*;
-use crate::toy::id;
+use crate::tests::toy::id;
 
 fn sampler(config: &TaskConfig) -> TaskSampler {
     TaskSampler::new(config, Catalog::builtin()).unwrap()

@@ -68,7 +68,7 @@ mod tests {
     use proto::wilson::SuccessRate;
 
     use super::*;
-    use crate::samples;
+    use crate::tests::samples;
 
     fn update(sizes: &mut Sizes, rates: &[(&str, u64, u64)]) {
         let mut learner: LearnerMetrics = serde_json::from_value(samples::learner().value).unwrap();

@@ -4,7 +4,7 @@ use bus::MetricsSample;
 use serde_json::{Value, json};
 
 use super::*;
-use crate::samples;
+use crate::tests::samples;
 
 const SECOND: Duration = Duration::from_secs(1);
 

@@ -260,7 +260,7 @@ impl Points {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::samples;
+    use crate::tests::samples;
 
     fn learned(board: &Board) -> Value {
         serde_json::from_slice::<Value>(&board.history().unwrap()).unwrap()["learner"].take()

@@ -244,7 +244,7 @@ mod tests {
 
     use super::*;
     use crate::follow::News;
-    use crate::samples;
+    use crate::tests::samples;
     use crate::web::board::Board;
     use crate::web::tests::samples::evaluation;
 

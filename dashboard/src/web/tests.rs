@@ -19,7 +19,7 @@ use crate::config::Token;
 use samples::evaluation;
 
 mod finished;
-#[path = "../../../runlog/src/history/samples.rs"]
+#[path = "../../../runlog/src/history/tests/samples.rs"]
 pub(super) mod samples;
 #[path = "../../../policy/tests/samples/untrained.rs"]
 mod untrained;

@@ -10,8 +10,8 @@ use proto::{ActionMode, Agent, EpisodeStats, Observation, RewardTerms, Scene, St
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use super::fixtures::{blueprint_id, random_trajectory};
 use crate::config::{FixedRate, LearnerConfig, LrSchedule, Objective};
-use crate::fixtures::{blueprint_id, random_trajectory};
 use crate::ppo::workers::PIECE_SIZE;
 use crate::{Learner, LearnerSetup, Model, UpdateResult};
 

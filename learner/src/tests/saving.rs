@@ -14,9 +14,9 @@ use rand_chacha::ChaCha8Rng;
 use runlog::RunPaths;
 use tokio_util::sync::CancellationToken;
 
+use super::fixtures::Made;
 use super::learning::{bandit, small_setup};
 use super::service::{Learning, options, place, start};
-use crate::fixtures::Made;
 use crate::{CheckpointError, RunOptions};
 
 /// Time between attempts to save, where they should succeed at once.

@@ -9,8 +9,8 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
+use super::fixtures::Made;
 use super::learning::{bandit, small_setup};
-use crate::fixtures::Made;
 use crate::{
     Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Source, Summary, run,
 };

@@ -3,8 +3,10 @@
 use blueprints::Split;
 use proto::metrics::{EvalOutcome, EvalResetFree, EvalRuns};
 
-use super::samples::{evaluation, outcome};
 use super::*;
+use samples::{evaluation, outcome};
+
+pub(crate) mod samples;
 
 fn small(n_env_steps: u64) -> Evaluation {
     evaluation(n_env_steps, &[("2_003", Split::Train, 2, 4), ("10_000", Split::Train, 10, 0)])

@@ -6,7 +6,7 @@ use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 use super::*;
 use crate::run_view::SessionState;
-use crate::samples;
+use crate::tests::samples;
 
 fn config() -> BusConfig {
     let run = "two-blocks".to_owned();

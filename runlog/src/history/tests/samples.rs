@@ -1,4 +1,4 @@
-//! Sample evaluations for tests, here and in `render`.
+//! Sample evaluations for tests, here and in `dashboard`.
 
 use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome, METRICS_SCHEMA_VERSION};

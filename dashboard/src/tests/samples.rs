@@ -7,7 +7,7 @@ use crate::run_view::{Roster, SessionState};
 
 /// Metrics of the learner.
 pub(crate) fn learner() -> MetricsSample {
-    sample("learner", include_str!("../tests/metrics/learner.json"))
+    sample("learner", include_str!("../../tests/metrics/learner.json"))
 }
 
 /// Metrics of a learner with the mixture head.
@@ -26,19 +26,19 @@ pub(crate) fn mixture_learner() -> MetricsSample {
 
 /// An evaluation of two groups.
 pub(crate) fn evaluation() -> MetricsSample {
-    sample("eval/summary", include_str!("../tests/metrics/eval-summary.json"))
+    sample("eval/summary", include_str!("../../tests/metrics/eval-summary.json"))
 }
 
 /// Metrics of the actor named `id`.
 pub(crate) fn actor(id: &str) -> MetricsSample {
-    let mut actor = sample(&format!("actor/{id}"), include_str!("../tests/metrics/actor.json"));
+    let mut actor = sample(&format!("actor/{id}"), include_str!("../../tests/metrics/actor.json"));
     actor.value["actor"] = id.into();
     actor
 }
 
 /// A result of one training blueprint: `n_successes` of 40 episodes with greedy actions.
 pub(crate) fn blueprint(id: &str, n_successes: u64) -> MetricsSample {
-    let mut blueprint = sample(&format!("eval/train/{id}"), include_str!("../tests/metrics/eval-blueprint.json"));
+    let mut blueprint = sample(&format!("eval/train/{id}"), include_str!("../../tests/metrics/eval-blueprint.json"));
     blueprint.value["blueprint"] = id.into();
     let success = &mut blueprint.value["greedy"]["success"];
     success["n_successes"] = n_successes.into();

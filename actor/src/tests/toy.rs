@@ -7,12 +7,12 @@ use proto::{ActorId, Normalization, Trajectory, Valid, Weights, WeightsVersion};
 use crate::config::ActorConfig;
 use crate::setup::ActorSetup;
 
-#[path = "../../proto/src/codec/tests/samples.rs"]
+#[path = "../../../proto/src/codec/tests/samples.rs"]
 #[expect(dead_code)]
 mod samples;
-#[path = "../../policy/tests/samples/untrained.rs"]
+#[path = "../../../policy/tests/samples/untrained.rs"]
 mod untrained;
-#[path = "../../environment/tests/toy/mod.rs"]
+#[path = "../../../environment/tests/toy/mod.rs"]
 mod world;
 
 pub(crate) use untrained::small_policy;
