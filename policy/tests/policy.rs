@@ -243,12 +243,6 @@ fn statistics_leave_bits_alone_and_center_the_rest() {
 }
 
 #[test]
-fn the_paper_network_has_its_size() {
-    let config = PolicyConfig { features: policy::FeatureConfig::paper(), ..PolicyConfig::default() };
-    assert_eq!(weights(&config, 0).parameters.len(), 1_238_157);
-}
-
-#[test]
 fn initial_values_follow_haiku() {
     for encoder in [EncoderConfig::default(), EncoderConfig::Resnet(ResnetConfig { hidden: 96, n_blocks: 1 })] {
         let config = NetworkConfig { encoder, ..NetworkConfig::default() };
