@@ -201,6 +201,31 @@ fn an_episode_plays_and_is_turned_and_stepped() {
     browser.element("#replay").press(RIGHT);
     assert_ne!(picture(), turned);
     assert_eq!(watched.complaints(), Vec::<Value>::new());
+    check_names_and_widths(&watched);
+}
+
+/// Checks that everything on a page that shows an episode has a name for screen readers, and fits on a phone.
+fn check_names_and_widths(watched: &Watched) {
+    let browser = &watched.browser;
+    watched.evaluated_after(0);
+    browser.element("#draw-open").click();
+    browser.until("document.querySelector('#draw-palette button')");
+    // Without new data, nothing is redrawn, so elements stay valid while they are checked.
+    watched.line.cut();
+    // A busy page may come to look only after the second miss.
+    browser.until("['reconnecting', 'no answer'].includes(document.querySelector('#state').textContent)");
+    let all = "main section, main button, main input, main [role=img], .scroll";
+    let named = browser.elements(&format!(":is({all}):not([hidden], [hidden] *, details:not([open]) *)"));
+    assert!(named.len() > 20, "{}", named.len());
+    for element in named {
+        assert_ne!(element.label(), "");
+    }
+    for (width, height) in [(390, 844), (768, 844), (1280, 844), (1920, 1080)] {
+        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 2, "mobile": width < 500 });
+        browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
+        // Charts take their new width a frame later.
+        browser.until("document.documentElement.scrollWidth === document.documentElement.clientWidth");
+    }
 }
 
 #[test]
@@ -503,31 +528,4 @@ fn check_end(mut watched: Watched) {
     browser.until("document.querySelector('#state').textContent === 'ended'");
     let said = browser.text("#farewell");
     assert!(said.starts_with("The program has ended. ") && said.ends_with(" serve run"), "{said}");
-}
-
-#[test]
-fn the_page_has_names_for_screen_readers_and_room_on_a_phone() {
-    let Some(watched) = Watched::start() else { return };
-    let browser = &watched.browser;
-    watched.evaluated_after(0);
-    browser.element("#replay-ask").click();
-    browser.until("!document.querySelector('#replay-player').hidden");
-    browser.element("#draw-open").click();
-    browser.until("document.querySelector('#draw-palette button')");
-    // Without new data, nothing is redrawn, so elements stay valid while they are checked.
-    watched.line.cut();
-    // A busy page may come to look only after the second miss.
-    browser.until("['reconnecting', 'no answer'].includes(document.querySelector('#state').textContent)");
-    let all = "main section, main button, main input, main [role=img], .scroll";
-    let named = browser.elements(&format!(":is({all}):not([hidden], [hidden] *, details:not([open]) *)"));
-    assert!(named.len() > 20, "{}", named.len());
-    for element in named {
-        assert_ne!(element.label(), "");
-    }
-    for (width, height) in [(390, 844), (768, 844), (1280, 844), (1920, 1080)] {
-        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": 2, "mobile": width < 500 });
-        browser.devtools("Emulation.setDeviceMetricsOverride", &metrics);
-        // Charts take their new width a frame later.
-        browser.until("document.documentElement.scrollWidth === document.documentElement.clientWidth");
-    }
 }
