@@ -33,7 +33,7 @@ KNOWN = SILENT | set(BOUNDS) | COMPARED
 # Checked by the schemas of Kubernetes, in `invalid`.
 ELSEWHERE = ("metadata", "spec.replicatedJobs[].template.spec")
 # Rules that no schema can express, by their messages, about fields that ours do not have.
-JUDGED = {"StartupPolicy and DependsOn APIs are mutually exclusive"}
+UNCOMPARED = {"StartupPolicy and DependsOn APIs are mutually exclusive"}
 # Strings up to this length are tried where two patterns differ.
 N_TRIED = 4
 
@@ -46,7 +46,7 @@ def laxer(ours: Object, theirs: Object, path: str = "") -> Iterator[str]:
     yield from (f"{where}: unknown to this comparison: {key}" for key in sorted(set(theirs) - KNOWN))
     for rule in theirs.get("x-kubernetes-validations", []):
         # Those with `oldSelf` compare a change with what was there.
-        if "oldSelf" not in rule["rule"] and rule.get("message") not in JUDGED:
+        if "oldSelf" not in rule["rule"] and rule.get("message") not in UNCOMPARED:
             yield f"{where}: a rule to judge by hand: {rule['rule']}"
     if values := [ours["const"]] if "const" in ours else ours.get("enum"):
         errors = chain.from_iterable(Validator(theirs).iter_errors(value) for value in values)
