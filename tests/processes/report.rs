@@ -24,7 +24,7 @@ fn tables_are_written() {
     for words in [
         "run: left out 1 evaluation",
         "3 evaluations of 2 blueprints",
-        "| train 2-6 | 2 | greedy | 8 | 100.0 % |",
+        "| train 2-6 | 2 | greedy | 20 | 100.0 % |",
         "serve run",
     ] {
         assert!(stdout.contains(words), "no {words:?} in {stdout}");
@@ -32,15 +32,15 @@ fn tables_are_written() {
     let plain = ["curves.csv", "groups.csv", "groups.md", "success.csv"];
     assert_eq!(names(&folder.path().join("run/report")), plain);
     let table = std::fs::read_to_string(folder.path().join("run/report/groups.md")).unwrap();
-    assert!(table.contains("| train 2-6 | 2 | greedy | 8 | 100.0 % |"), "{table}");
+    assert!(table.contains("| train 2-6 | 2 | greedy | 20 | 100.0 % |"), "{table}");
 
     let summary = printed_json(&mut report(folder.path(), &["run", "--json"]));
     assert_eq!((summary["n_evaluations"].as_u64(), summary["n_env_steps"].as_u64()), (Some(3), Some(700)));
     assert_eq!(summary["groups"][0]["name"], "train 2-6");
-    assert_eq!(summary["groups"][0]["success"]["n_episodes"], 8);
+    assert_eq!(summary["groups"][0]["success"]["n_episodes"], 20);
     assert_eq!(
         (&summary["groups"][0]["acting"], &summary["groups"][0]["stable_success"]["n_episodes"]),
-        (&"greedy".into(), &8.into())
+        (&"greedy".into(), &20.into())
     );
     assert_eq!(summary["files"].as_array().unwrap().len(), plain.len());
 
@@ -56,11 +56,11 @@ fn tables_are_written() {
     let rows = "split,n_blocks,blueprint,0,500,700\ntrain,2,2_000,1,1,1\ntrain,2,2_001,1,1,1\n";
     assert_eq!(read("run/report/success.csv"), rows);
     let curves = read("run/report/curves.csv");
-    assert!(curves.starts_with("group,n_env_steps,") && curves.contains("\ntrain 2-6,500,2,8,1,"), "{curves}");
+    assert!(curves.starts_with("group,n_env_steps,") && curves.contains("\ntrain 2-6,500,2,20,1,"), "{curves}");
 
     printed(&mut report(folder.path(), &["run", "--out", "beside", "--beside", "other", "run"]));
     let table = read("beside/comparison.csv");
-    assert!(table.contains("\nother,10,1,4,1,") && table.contains("\nrun,700,1,4,1,"), "{table}");
+    assert!(table.contains("\nother,10,1,10,1,") && table.contains("\nrun,700,1,10,1,"), "{table}");
 }
 
 #[test]

@@ -2,34 +2,18 @@
 
 use std::path::Path;
 
-use blueprints::{BlueprintId, Split};
-use proto::WeightsVersion;
-use proto::metrics::{EvalBlueprint, EvalOutcome, METRICS_SCHEMA_VERSION};
-use proto::wilson::SuccessRate;
-use runlog::{Evaluation, History, RunPaths};
+use blueprints::Split;
+use runlog::{History, RunPaths};
 use serde_json::json;
 
-/// Writes one evaluation of two-block blueprints after each number of steps; all greedy episodes succeed.
+#[path = "../../../runlog/src/history/tests/samples.rs"]
+mod samples;
+
+/// Writes one evaluation of two-block blueprints after each number of steps; all ten greedy episodes of each succeed.
 pub(crate) fn write_run(run: &Path, ids: &[&str], steps: &[u64]) {
     let mut history = History::open(&RunPaths::new(run).history()).unwrap();
-    for &n_env_steps in steps {
-        let weights_version = WeightsVersion(n_env_steps);
-        let score = |id: &&str| EvalBlueprint {
-            schema_version: METRICS_SCHEMA_VERSION,
-            weights_version,
-            n_env_steps,
-            blueprint: BlueprintId::try_from((*id).to_owned()).unwrap(),
-            split: Split::Train,
-            n_blocks: 2,
-            sampled: EvalOutcome::default(),
-            greedy: EvalOutcome { success: SuccessRate::new(4, 4), ..EvalOutcome::default() },
-        };
-        let blueprints = ids.iter().map(score).collect();
-        let (ended_unix_ms, elapsed_s, seed) = (1_767_225_600_000, 2.5, 1);
-        let evaluation =
-            Evaluation { ended_unix_ms, elapsed_s, weights_version, n_env_steps, seed, blueprints, reset_free: None };
-        history.append(&evaluation).unwrap();
-    }
+    let scores: Vec<_> = ids.iter().map(|&id| (id, Split::Train, 2, 10)).collect();
+    steps.iter().for_each(|&n_env_steps| history.append(&samples::evaluation(n_env_steps, &scores)).unwrap());
 }
 
 /// Writes a sweep with these values of `learner.gamma`, whose runs are all done and were evaluated twice.

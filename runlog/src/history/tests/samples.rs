@@ -1,4 +1,4 @@
-//! Sample evaluations for tests, here and in `dashboard`.
+//! Sample evaluations for tests, also of other crates.
 
 use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome, METRICS_SCHEMA_VERSION};
