@@ -1,12 +1,12 @@
 //! Counts how episodes end, by the size of their goal: where to look when success stays where it is.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
-use environment::Step;
+use blueprints::{Blueprint, Catalog};
 use nalgebra::Vector3;
 use parking_lot::Mutex;
 use policy::proposals::Slot;
-use proto::{Joint, Observation, Scene};
+use proto::{Joint, Scene, Trajectory};
 
 use crate::report::{End, EpisodeResult};
 
@@ -15,7 +15,7 @@ const STILL_STEPS: usize = 20;
 /// Largest distance that a block moves in them, m.
 const STILL_M: f32 = 0.03;
 /// Number of steps without a new correct connection after which an episode counts as stuck.
-const STUCK_STEPS: u32 = 30;
+const STUCK_STEPS: usize = 30;
 
 /// How an episode ended. Of several that apply, the first counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -68,91 +68,50 @@ impl Endings {
         self.0.into_inner()
     }
 
-    /// Counts an episode that has ended.
-    pub(crate) fn count(&self, record: EndingRecord, result: &EpisodeResult) {
-        let ending = record.ending(result.end);
+    /// Counts an episode of a goal of the catalog.
+    pub(crate) fn count(&self, catalog: &Catalog, episode: &Trajectory, result: &EpisodeResult) {
+        let goal = catalog.get(&episode.task.blueprint).expect("the episode began with it");
+        let goal = goal.permuted(&episode.task.assignment);
+        let (steps, last) = (&episode.transitions, &episode.last_scene);
+        let scenes: Vec<&Scene> = steps.iter().map(|step| &step.scene).chain([last]).collect();
+        let n_right: Vec<u64> = scenes.iter().map(|scene| count(scene, |joint| joint.is_right(&goal))).collect();
+        let n_right_left = count(last, |joint| joint.is_right(&goal));
+        let n_missing = goal.links().len() as u64 - n_right_left;
+        let steps_since_gain = n_right.array_windows().rev().take_while(|[before, after]| after <= before).count();
+        let ending = match result.end {
+            End::Success { .. } => Ending::Built,
+            End::Diverged => Ending::Diverged,
+            End::TimeLimit if is_still(&scenes, &goal) => Ending::Still,
+            End::TimeLimit if last.joints.len() as u64 > n_right_left => Ending::Wrong,
+            End::TimeLimit if n_missing == 0 => Ending::Misplaced,
+            End::TimeLimit if steps_since_gain >= STUCK_STEPS => Ending::Stuck,
+            End::TimeLimit => Ending::Time,
+        };
         let mut sizes = self.0.lock();
         let size = sizes.entry((result.acting.name(), result.n_blocks)).or_default();
         *size.endings.entry(ending).or_default() += 1;
-        size.n_wrong += u64::from(record.n_wrong);
-        size.n_broken += u64::from(record.n_broken);
-        size.n_missing += u64::from(record.n_missing);
-        record.draws.into_iter().for_each(|(kind, n)| *size.draws.entry(kind).or_default() += n);
+        size.n_missing += n_missing;
+        for [before, after] in scenes.array_windows() {
+            size.n_wrong += count(after, |joint| !before.joints.contains(joint) && !joint.is_right(&goal));
+            size.n_broken += count(before, |joint| !after.joints.contains(joint) && joint.is_right(&goal));
+        }
+        let slots = steps.iter().flat_map(|step| step.proposals.into_iter().flatten());
+        for slot in slots.filter_map(Slot::from_index) {
+            *size.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
+        }
     }
 }
 
-/// What is kept of a running episode.
-pub(crate) struct EndingRecord {
-    /// Positions of the goal's blocks in the last scenes, oldest first.
-    recent: VecDeque<Vec<Vector3<f32>>>,
-    /// Correct connections in the newest scene.
-    n_right: u32,
-    /// Steps since their number last grew.
-    steps_since_gain: u32,
-    /// Wrong connections that formed.
-    n_wrong: u32,
-    /// Correct connections that broke.
-    n_broken: u32,
-    /// Wrong connections after the newest step.
-    n_wrong_left: u32,
-    /// Correct connections missing after the newest step.
-    n_missing: u32,
-    draws: BTreeMap<String, u64>,
+/// Whether no block of the goal moved in the last steps.
+fn is_still(scenes: &[&Scene], goal: &Blueprint) -> bool {
+    let Some(first) = scenes.iter().skip(1).rev().nth(STILL_STEPS) else { return false };
+    let Some(last) = scenes.last() else { return false };
+    goal.placements().iter().all(|placement| {
+        let [from, to] = [first, last].map(|scene| Vector3::from(scene.blocks[placement.block.get()].position));
+        (from - to).norm() < STILL_M
+    })
 }
 
-impl EndingRecord {
-    pub(crate) fn new(start: Observation<'_>) -> Self {
-        Self {
-            recent: VecDeque::new(),
-            n_right: count(start.scene, |joint| joint.is_right(start.blueprint)),
-            steps_since_gain: 0,
-            n_wrong: 0,
-            n_broken: 0,
-            n_wrong_left: 0,
-            n_missing: 0,
-            draws: BTreeMap::new(),
-        }
-    }
-
-    /// Counts what a step to the observation `after` changed.
-    pub(crate) fn note(&mut self, step: &Step, after: Observation<'_>) {
-        let (before, Observation { scene, blueprint }) = (&step.scene, after);
-        let is_new = |joint: &Joint| !before.joints.contains(joint);
-        self.n_wrong += count(scene, |joint| is_new(joint) && !joint.is_right(blueprint));
-        self.n_broken += count(before, |joint| !scene.joints.contains(joint) && joint.is_right(blueprint));
-        let n_right = count(scene, |joint| joint.is_right(blueprint));
-        self.steps_since_gain = if n_right > self.n_right { 0 } else { self.steps_since_gain + 1 };
-        self.n_right = n_right;
-        self.n_wrong_left = scene.joints.len() as u32 - n_right;
-        self.n_missing = blueprint.links().len() as u32 - n_right;
-        for slot in step.decision.proposals.iter().flatten().filter_map(|&slot| Slot::from_index(slot)) {
-            *self.draws.entry(slot.kind().name().to_owned()).or_default() += 1;
-        }
-        if self.recent.len() > STILL_STEPS {
-            self.recent.pop_front();
-        }
-        let places = blueprint.placements().iter();
-        self.recent.push_back(places.map(|p| Vector3::from(scene.blocks[p.block.get()].position)).collect());
-    }
-
-    fn ending(&self, end: End) -> Ending {
-        match end {
-            End::Success { .. } => Ending::Built,
-            End::Diverged => Ending::Diverged,
-            End::TimeLimit if self.is_still() => Ending::Still,
-            End::TimeLimit if self.n_wrong_left > 0 => Ending::Wrong,
-            End::TimeLimit if self.n_missing == 0 => Ending::Misplaced,
-            End::TimeLimit if self.steps_since_gain >= STUCK_STEPS => Ending::Stuck,
-            End::TimeLimit => Ending::Time,
-        }
-    }
-
-    fn is_still(&self) -> bool {
-        let (Some(first), Some(last)) = (self.recent.front(), self.recent.back()) else { return false };
-        self.recent.len() > STILL_STEPS && first.iter().zip(last).all(|(a, b)| (a - b).norm() < STILL_M)
-    }
-}
-
-fn count(scene: &Scene, wanted: impl Fn(&Joint) -> bool) -> u32 {
-    scene.joints.iter().filter(|joint| wanted(joint)).count() as u32
+fn count(scene: &Scene, wanted: impl Fn(&Joint) -> bool) -> u64 {
+    scene.joints.iter().filter(|joint| wanted(joint)).count() as u64
 }

@@ -1,51 +1,51 @@
-//! Evaluates a frozen policy on blueprints, with fixed episode seeds.
+//! Evaluates an agent on blueprints, with fixed episode seeds.
 
 use blueprints::Blueprint;
-use policy::PolicyConfig;
 use proto::metrics::{EvalReport, EvalResetFree};
-use proto::{ActionMode, Valid, Weights};
+use proto::{ActionMode, Trajectory};
+use tokio::sync::watch;
 
 use crate::config::ResetFreeConfig;
-use crate::follower::Follower;
+use crate::endings::Endings;
 use crate::performance::Performer;
-use crate::pool::EvaluationPool;
+use crate::pool::{EvaluationPool, EvaluationProgress};
+use crate::recording::Recorder;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
-use crate::sequences::{EpisodeObserver, EpisodeSpec};
+use crate::sequences::EpisodeSpec;
 use crate::setup::{EvalError, EvalSetup};
 
 /// Number of episodes per action mode after which an evaluation first reports intermediate results.
 pub const FIRST_PART: usize = 32;
 
-/// Evaluates `weights` of a policy with this configuration on `blueprints`: `n_episodes` per blueprint in each action
-/// mode, followed by the reset-free runs if the setup has any.
-///
-/// Start states depend only on the seed, the blueprint, and the episode index, not on the weights, the other
-/// blueprints, or the action mode. After a success, a copy of the world goes on for up to 10 steps with idle grippers, to
-/// test whether the success is stable. The report's duration stays 0, because no clock is read. `keep_going` is called
-/// at every step.
-///
-/// # Errors
-/// If the weights do not fit, an episode cannot be started, or `keep_going` returns false.
-pub fn evaluate(
-    setup: &EvalSetup<'_>,
-    policy: &Valid<PolicyConfig>,
-    weights: &Weights,
-    blueprints: &[&Blueprint],
-    keep_going: &(dyn Fn() -> bool + Sync),
-) -> Result<EvalReport, EvalError> {
-    let follower = Follower { keep_going, ..Follower::default() };
-    let report = evaluate_followed(setup, Performer::Policy(policy, weights), blueprints, &follower)?;
-    if report.summary.is_complete { Ok(report) } else { Err(EvalError::Interrupted) }
+/// What follows an evaluation, from the threads that run the episodes.
+pub struct Follower<'a> {
+    /// Called at every step; returning false interrupts the evaluation.
+    pub keep_going: &'a (dyn Fn() -> bool + Sync),
+    /// Gets the number of episodes, then counts each one that ends.
+    pub progress: Option<&'a watch::Sender<Option<EvaluationProgress>>>,
+    /// Counts how the episodes end, except in reset-free runs.
+    pub endings: Option<&'a Endings>,
 }
 
-/// Like [`evaluate()`] for either agent, but calls `follower` for each episode, and returns a partial report when
-/// `keep_going` returns false. A partial report is marked incomplete and has no reset-free runs. The expert has one
-/// action mode, `greedy`, and no weights: its report has version 0.
+impl Default for Follower<'_> {
+    /// Never interrupts, and ignores the results.
+    fn default() -> Self {
+        Self { keep_going: &|| true, progress: None, endings: None }
+    }
+}
+
+/// Evaluates an agent on `blueprints`: `n_episodes` per blueprint in each action mode, followed by the reset-free runs
+/// if the setup has any. The expert has one action mode, `greedy`, and no weights: its report has version 0.
+///
+/// Start states depend only on the seed, the blueprint, and the episode index, not on the weights, the other
+/// blueprints, or the action mode. After a success, a copy of the world goes on for up to 10 steps with idle grippers,
+/// to test whether the success is stable. The report's duration stays 0, because no clock is read. The report of an
+/// interrupted evaluation is marked incomplete: it has the episodes so far, and no reset-free runs.
 ///
 /// # Errors
 /// If the weights do not fit or an episode cannot be started.
-pub fn evaluate_followed(
+pub fn evaluate(
     setup: &EvalSetup<'_>,
     performer: Performer<'_>,
     blueprints: &[&Blueprint],
@@ -55,19 +55,24 @@ pub fn evaluate_followed(
     if matches!(performer, Performer::Expert) {
         setup.episodes.acting = vec![ActionMode::Greedy];
     }
-    let (observer, keep_going) = (Some(follower), follower.keep_going);
-    let pool = EvaluationPool { setup: &setup, performer, observer, progress: None, keep_going };
+    let &Follower { keep_going, progress, endings } = follower;
+    let catalog = setup.catalog;
+    let count = endings.map(|endings| {
+        move |_: usize, episode: Trajectory, result: &EpisodeResult| endings.count(catalog, &episode, result)
+    });
+    let recorder = count.as_ref().map(|count| count as &dyn Recorder);
+    let pool = EvaluationPool { setup: &setup, performer, recorder, progress, keep_going };
     evaluate_in_parts(&pool, blueprints, &mut drop)
 }
 
-/// Like [`evaluate_followed`] for the pool's performer. Reports intermediate results to `on_part`: of the first
+/// Like [`evaluate()`] for the pool's performer. Reports intermediate results to `on_part`: of the first
 /// [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all blueprints, so its groups are
 /// fair samples of the whole.
 ///
 /// # Errors
-/// As for [`evaluate_followed`].
-pub(crate) fn evaluate_in_parts<O: EpisodeObserver>(
-    pool: &EvaluationPool<'_, O>,
+/// As for [`evaluate()`].
+pub(crate) fn evaluate_in_parts(
+    pool: &EvaluationPool<'_>,
     blueprints: &[&Blueprint],
     on_part: &mut dyn FnMut(EvalReport),
 ) -> Result<EvalReport, EvalError> {

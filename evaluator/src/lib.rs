@@ -2,9 +2,9 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
-//! [`episodes`] and `reset_free` (what is run) → `follower` (callbacks) and [`endings`] (how episodes end) → [`table`]
-//! (what is printed) → [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). `videos`
-//! records videos in every evaluation, [`perform`] plays one episode for display, and [`record()`] records many.
+//! [`episodes`] and `reset_free` (what is run) → [`endings`] (how episodes end) → [`table`] (what is printed) →
+//! [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). `videos` records videos in
+//! every evaluation, [`perform`] plays one episode for display, and [`record()`] records many.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -12,7 +12,6 @@ pub mod best;
 pub mod config;
 pub mod endings;
 pub mod episodes;
-mod follower;
 mod nice;
 mod performance;
 mod pool;
@@ -35,8 +34,7 @@ pub use config::{
 };
 pub use endings::{Ending, Endings, SizeEndings};
 pub use environment::EnvironmentConfig;
-pub use episodes::{evaluate, evaluate_followed};
-pub use follower::Follower;
+pub use episodes::{Follower, evaluate};
 pub use performance::{Performance, Performer, perform};
 pub use policy::{Policy, PolicyConfig, PolicyError};
 pub use pool::EvaluationProgress;

@@ -6,7 +6,7 @@ use parking_lot::Mutex;
 use policy::{Policy, PolicyConfig, PolicyError};
 use proto::{ActionMode, Disturbance, Start, Trajectory, Valid, Weights};
 
-use crate::recording::{Credits, Recorder};
+use crate::recording::Recorder;
 use crate::report::EpisodeResult;
 use crate::sequences::{EpisodeSpec, PerformerAgent, Rules, run_sequences};
 use crate::setup::EvalError;
@@ -56,9 +56,8 @@ pub fn perform(
     // Of all episodes, the last one stays.
     let seen = Mutex::new(None);
     let keep = |_: usize, episode: Trajectory, _: &EpisodeResult| *seen.lock() = Some(episode);
-    let observer = Recorder { credits: performer.credits(acting), keep: &keep };
-    let rules =
-        Rules { catalog: &catalog, acting, success: &environment.success, keep_going, observer: Some(&observer) };
+    let (success, recorder) = (&environment.success, Some(&keep as &dyn Recorder));
+    let rules = Rules { catalog: &catalog, performer, acting, success, keep_going, recorder };
     let goals = before.iter().chain([blueprint]).zip(0..);
     let specs: Vec<_> = goals
         .map(|(goal, idx)| {
@@ -81,14 +80,6 @@ pub fn perform(
 }
 
 impl Performer<'_> {
-    /// Returns the credits for recordings; the actor is `expert` or `policy`.
-    pub(crate) fn credits(self, acting: ActionMode) -> Credits {
-        match self {
-            Self::Expert => Credits::of_expert(),
-            Self::Policy(_, weights) => Credits::of_policy("policy", acting, weights.version),
-        }
-    }
-
     /// Creates the agent that acts in worlds of this configuration.
     ///
     /// # Errors

@@ -7,8 +7,9 @@ use proto::ActionMode;
 use tokio::sync::watch;
 
 use crate::performance::Performer;
+use crate::recording::Recorder;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec, Rules, run_sequences};
+use crate::sequences::{EpisodeSpec, Rules, run_sequences};
 use crate::setup::{EvalError, EvalSetup};
 
 /// Progress of an evaluation.
@@ -23,23 +24,22 @@ pub struct EvaluationProgress {
 }
 
 impl EvaluationProgress {
-    /// Counts an episode that has ended.
-    pub fn count(&mut self, episode: &EpisodeResult) {
+    fn count(&mut self, episode: &EpisodeResult) {
         self.n_ended += 1;
         self.n_successes += u64::from(matches!(episode.end, End::Success { .. }));
     }
 }
 
 /// Runs sequences on threads.
-pub(crate) struct EvaluationPool<'a, O> {
+pub(crate) struct EvaluationPool<'a> {
     pub(crate) setup: &'a EvalSetup<'a>,
     pub(crate) performer: Performer<'a>,
-    pub(crate) observer: Option<&'a O>,
-    pub(crate) progress: Option<&'a watch::Sender<EvaluationProgress>>,
+    pub(crate) recorder: Option<&'a dyn Recorder>,
+    pub(crate) progress: Option<&'a watch::Sender<Option<EvaluationProgress>>>,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
 }
 
-impl<O: EpisodeObserver> EvaluationPool<'_, O> {
+impl EvaluationPool<'_> {
     pub(crate) fn plan(&self, n_episodes: u64) {
         self.change_progress(|progress| progress.n_planned = n_episodes);
     }
@@ -85,10 +85,11 @@ impl<O: EpisodeObserver> EvaluationPool<'_, O> {
         let mut agent = self.performer.agent(&self.setup.environment)?;
         let rules = Rules {
             catalog: self.setup.catalog,
+            performer: self.performer,
             acting,
             success: &self.setup.environment.success,
             keep_going: self.keep_going,
-            observer: self.observer,
+            recorder: self.recorder,
         };
         let worlds = (0..n_worlds).map(|_| World::new(&self.setup.environment)).collect();
         let done = |sequence_idx, results: Vec<EpisodeResult>| {
@@ -100,7 +101,7 @@ impl<O: EpisodeObserver> EvaluationPool<'_, O> {
 
     fn change_progress(&self, change: impl FnOnce(&mut EvaluationProgress)) {
         if let Some(progress) = self.progress {
-            progress.send_modify(change);
+            progress.send_modify(|progress| change(progress.get_or_insert_default()));
         }
     }
 }
@@ -144,7 +145,6 @@ mod tests {
     use super::*;
     use crate::config::EpisodeConfig;
     use crate::episodes::tests::{performer, small_setup};
-    use crate::videos::EpisodeSelector;
 
     /// Sequences of one or two episodes, of different goals.
     fn sequences(n: usize) -> Vec<Vec<EpisodeSpec>> {
@@ -177,7 +177,7 @@ mod tests {
         let pool = EvaluationPool {
             setup: &setup,
             performer: performer(),
-            observer: None::<&EpisodeSelector>,
+            recorder: None,
             progress: Some(&progress),
             keep_going: &|| true,
         };
@@ -190,6 +190,6 @@ mod tests {
         assert_eq!(results.iter().map(reached).collect::<Vec<Vec<_>>>(), goals);
         let n_successes = results.iter().flatten().filter(|result| matches!(result.end, End::Success { .. })).count();
         let expected = EvaluationProgress { n_ended: 18, n_successes: n_successes as u64, n_planned: 30 };
-        assert_eq!(*progress.borrow(), expected);
+        assert_eq!(*progress.borrow(), Some(expected));
     }
 }

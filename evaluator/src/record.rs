@@ -3,20 +3,19 @@
 use blueprints::Blueprint;
 use proto::{ActionMode, Trajectory};
 
+use crate::episodes::Follower;
 use crate::performance::Performer;
 use crate::pool::EvaluationPool;
-use crate::recording::Recorder;
 use crate::report::EpisodeResult;
 use crate::sequences::EpisodeSpec;
 use crate::setup::{EvalError, EvalSetup};
 
-/// Plays the setup's `n_episodes` for each blueprint; ignores the setup's action modes and reset-free runs. Returns
-/// whether all episodes ended, which is false if `keep_going` returned false.
+/// Plays the setup's `n_episodes` for each blueprint; ignores the setup's action modes and reset-free runs, and the
+/// follower's endings. Returns whether all episodes ended, which is false if `keep_going` returned false.
 ///
-/// Both callbacks are called by the threads that run the episodes: `keep_going` at every step, `on_episode` when an
-/// episode ends. It gets the episode's place in the plan, from 0: the first episode of every blueprint, then the second
-/// of every blueprint, and so on. The trajectory's actor is `expert` or `policy`; that of a diverged episode has
-/// [`Status::Running`](proto::Status::Running).
+/// `on_episode` is called by the threads that run the episodes when one ends. It gets the episode's place in the plan,
+/// from 0: the first episode of every blueprint, then the second of every blueprint, and so on. The trajectory's actor
+/// is `expert` or `policy`; that of a diverged episode has [`Status::Running`](proto::Status::Running).
 ///
 /// # Errors
 /// If the weights do not fit or an episode cannot be started.
@@ -25,7 +24,7 @@ pub fn record(
     performer: Performer<'_>,
     acting: ActionMode,
     blueprints: &[&Blueprint],
-    keep_going: &(dyn Fn() -> bool + Sync),
+    follower: &Follower<'_>,
     on_episode: &(dyn Fn(usize, Trajectory, &EpisodeResult) + Sync),
 ) -> Result<bool, EvalError> {
     let (catalog, starts, seed) = (setup.catalog, setup.episodes.starts, setup.seed);
@@ -33,8 +32,9 @@ pub fn record(
     let plan = rounds.flat_map(|idx| blueprints.iter().map(move |&blueprint| (blueprint, idx)));
     let sequences: Vec<_> =
         plan.map(|(blueprint, idx)| vec![EpisodeSpec::one_of(catalog, blueprint, starts, seed, idx)]).collect();
-    let recorder = Recorder { credits: performer.credits(acting), keep: on_episode };
-    let pool = EvaluationPool { setup, performer, observer: Some(&recorder), progress: None, keep_going };
+    let &Follower { keep_going, progress, .. } = follower;
+    let pool = EvaluationPool { setup, performer, recorder: Some(&on_episode), progress, keep_going };
+    pool.plan(sequences.len() as u64);
     let (_, played) = pool.run(&sequences, acting);
     match played {
         Ok(()) => Ok(true),
@@ -73,8 +73,8 @@ mod tests {
             assert!(episodes.lock().insert(idx, trajectory).is_none());
         };
         let goals = ["2_000", "3_000"].map(goal);
-        let is_complete =
-            record(setup, Performer::Expert, ActionMode::Greedy, &goals, keep_going, &on_episode).unwrap();
+        let follower = Follower { keep_going, ..Follower::default() };
+        let is_complete = record(setup, Performer::Expert, ActionMode::Greedy, &goals, &follower, &on_episode).unwrap();
         (is_complete, episodes.into_inner())
     }
 

@@ -9,22 +9,19 @@ use rand_chacha::ChaCha8Rng;
 use crate::config::{MIN_BLOCKS, ResetFreeConfig};
 use crate::pool::EvaluationPool;
 use crate::report::{End, EpisodeResult, outcome};
-use crate::sequences::{EpisodeObserver, EpisodeSpec};
+use crate::sequences::EpisodeSpec;
 use crate::setup::EvalError;
 
 /// Evaluates the agent of a pool on runs over several goals. A run begins scattered, and each goal begins where the
 /// last one ended, by success or at the time limit. Goals are training blueprints of at least [`MIN_BLOCKS`] blocks,
-/// never the same twice in a row. The pool's observer does not see the episodes.
+/// never the same twice in a row. The episodes are not recorded.
 ///
 /// A world that diverged is reset, and the reset is counted. Runs depend only on the setup's seed.
 ///
 /// # Errors
 /// If the agent fails, no blueprint is large enough, or the pool is interrupted.
-pub(crate) fn evaluate<O: EpisodeObserver>(
-    pool: &EvaluationPool<'_, O>,
-    config: &ResetFreeConfig,
-) -> Result<EvalResetFree, EvalError> {
-    let pool = EvaluationPool { observer: None, ..*pool };
+pub(crate) fn evaluate(pool: &EvaluationPool<'_>, config: &ResetFreeConfig) -> Result<EvalResetFree, EvalError> {
+    let pool = EvaluationPool { recorder: None, ..*pool };
     let mut goals = pool.setup.catalog.of_split(Split::Train);
     goals.retain(|blueprint| blueprint.n_blocks() >= MIN_BLOCKS);
     if goals.is_empty() {

@@ -22,6 +22,7 @@ use crate::episodes::evaluate_in_parts;
 use crate::nice::on_thread;
 use crate::performance::Performer;
 use crate::pool::{EvaluationPool, EvaluationProgress};
+use crate::recording::Recorder;
 use crate::records::Records;
 use crate::schedule::{Due, Evaluated, due};
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
@@ -168,18 +169,18 @@ async fn evaluate_all(
         last = Some(Evaluated { start, version: newest.version, n_env_steps: newest.n_env_steps, is_last });
         let (parts, newest_part) = watch::channel(None);
         let videos = outlets.videos;
-        let selector = videos.and_then(|videos| videos.selector(&newest, &setup.config.episodes.acting));
-        let (counted, progress) = watch::channel(EvaluationProgress::default());
+        let selector = videos.and_then(|videos| videos.selector(&setup.config.episodes.acting));
+        let progress = outlets.listeners.progress.clone();
         let goals = if is_last { selected.last.clone() } else { selected.usual.clone() };
         let signals = (&stop.now, bus.pulse());
-        let evaluation = evaluate_once(setup, goals, newest.clone(), selector, parts, counted, signals);
+        let evaluation = evaluate_once(setup, goals, newest.clone(), selector, parts, progress, signals);
         let stamp = |mut report: EvalReport| {
             report.summary.elapsed_s = start.elapsed().as_secs_f64();
             report.summary.bus = bus.counts();
             report.summary.videos = videos.map(VideoRecorder::counts);
             report
         };
-        let report = match outlets.follow(evaluation, newest_part, progress, &stamp).await? {
+        let report = match outlets.follow(evaluation, newest_part, &stamp).await? {
             // The weights passed the validation scene but failed on another one.
             Err(EvalError::Policy(error)) if error.is_of_weights() => {
                 bus.count_refused_weights();
@@ -216,12 +217,11 @@ struct Outlets<'r> {
 }
 
 impl Outlets<'_> {
-    /// Waits for the end of an evaluation. Until then, publishes its parts, after `stamp`, and its progress.
+    /// Waits for the end of an evaluation. Until then, publishes its parts, after `stamp`.
     async fn follow<T>(
         &mut self,
         evaluation: impl Future<Output = anyhow::Result<T>>,
         mut parts: watch::Receiver<Option<EvalReport>>,
-        mut progress: watch::Receiver<EvaluationProgress>,
         stamp: impl Fn(EvalReport) -> EvalReport,
     ) -> anyhow::Result<T> {
         tokio::pin!(evaluation);
@@ -234,9 +234,6 @@ impl Outlets<'_> {
                     if let Some(part) = part {
                         self.publishers.publish(&stamp(part)).await?;
                     }
-                }
-                Ok(()) = progress.changed() => {
-                    self.listeners.progress.send_replace(Some(*progress.borrow_and_update()));
                 }
                 ended = &mut evaluation => break ended,
             }
@@ -367,14 +364,14 @@ async fn next_due(
     }
 }
 
-/// Runs one evaluation on a separate thread; intermediate reports go to `parts`, its progress goes to `counted`.
+/// Runs one evaluation on a separate thread; intermediate reports go to `parts`.
 async fn evaluate_once(
     setup: &EvaluatorSetup,
     selected: Vec<Blueprint>,
     weights: Arc<Weights>,
     videos: Option<EpisodeSelector>,
     parts: watch::Sender<Option<EvalReport>>,
-    counted: watch::Sender<EvaluationProgress>,
+    progress: watch::Sender<Option<EvaluationProgress>>,
     (shutdown, pulse): (&CancellationToken, &Pulse),
 ) -> anyhow::Result<Result<EvalReport, EvalError>> {
     let (setup, shutdown, pulse) = (setup.clone(), shutdown.clone(), pulse.clone());
@@ -387,8 +384,8 @@ async fn evaluate_once(
             !shutdown.is_cancelled()
         };
         let (setup, performer) = (&setup, Performer::Policy(&policy, &weights));
-        let (observer, progress) = (videos.as_ref(), Some(&counted));
-        let pool = EvaluationPool { setup, performer, observer, progress, keep_going: &keep_going };
+        let recorder = videos.as_ref().map(|selector| selector as &dyn Recorder);
+        let pool = EvaluationPool { setup, performer, recorder, progress: Some(&progress), keep_going: &keep_going };
         let selected: Vec<&Blueprint> = selected.iter().collect();
         evaluate_in_parts(&pool, &selected, &mut |part| drop(parts.send_replace(Some(part))))
     })

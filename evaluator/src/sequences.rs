@@ -6,12 +6,14 @@ use environment::config::SuccessConfig;
 use environment::vec_env::generator;
 use environment::{Env, ExpertAgent, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
 use policy::{Policy, PolicyError};
-use proto::{Action, ActionMode, Observation, RewardTerms, Scene, Start, Status, Task};
+use proto::{Action, ActionMode, RewardTerms, Start, Status, Task, Transition};
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
+use crate::performance::Performer;
+use crate::recording::{Recorder, trajectory, transition};
 use crate::report::{End, EpisodeResult};
 use crate::setup::EvalError;
 
@@ -33,12 +35,14 @@ pub(crate) struct EpisodeSpec {
 }
 
 /// Settings shared by all worlds of a thread.
-pub(crate) struct Rules<'a, O> {
+pub(crate) struct Rules<'a> {
     pub(crate) catalog: &'a Catalog,
+    /// Who acts, for recordings.
+    pub(crate) performer: Performer<'a>,
     pub(crate) acting: ActionMode,
     pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
-    pub(crate) observer: Option<&'a O>,
+    pub(crate) recorder: Option<&'a dyn Recorder>,
 }
 
 impl EpisodeSpec {
@@ -69,37 +73,16 @@ impl EpisodeSpec {
     }
 }
 
-/// Observes episodes.
-pub(crate) trait EpisodeObserver: Sync {
-    /// Data kept for an episode while it runs.
-    type Record;
-
-    /// An episode of this sequence has begun in `start`. Returns `None` to ignore it.
-    fn begin(
-        &self,
-        sequence_idx: usize,
-        spec: &EpisodeSpec,
-        acting: ActionMode,
-        start: Observation<'_>,
-    ) -> Option<Self::Record>;
-
-    /// A step led to `after`.
-    fn observe(&self, record: &mut Self::Record, step: Step, after: Observation<'_>);
-
-    /// The episode has ended in the scene `last`.
-    fn end(&self, record: Self::Record, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult);
-}
-
 /// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
 /// starts the next sequence. Each sequence's results go to `done` with its index.
-pub(crate) fn run_sequences<'s, E: Env + Clone, O: EpisodeObserver>(
-    rules: &Rules<'_, O>,
+pub(crate) fn run_sequences<'s, E: Env + Clone>(
+    rules: &Rules<'_>,
     agent: &mut PerformerAgent,
     mut worlds: Vec<E>,
     mut next: impl FnMut() -> Option<(usize, &'s [EpisodeSpec])>,
     mut done: impl FnMut(usize, Vec<EpisodeResult>),
 ) -> Result<(), EvalError> {
-    let slots: Vec<EnvSlot<'_, O::Record>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
+    let slots: Vec<EnvSlot<'_>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
     worlds.truncate(slots.len());
     let mut running = EnvironmentLoop { rules, agent, envs: VecEnv::new(worlds), slots };
     for row in 0..running.slots.len() {
@@ -133,16 +116,16 @@ pub(crate) fn run_sequences<'s, E: Env + Clone, O: EpisodeObserver>(
 }
 
 /// Worlds, the agent that acts in them, and their episodes.
-struct EnvironmentLoop<'a, E, O: EpisodeObserver> {
-    rules: &'a Rules<'a, O>,
+struct EnvironmentLoop<'a, E> {
+    rules: &'a Rules<'a>,
     agent: &'a mut PerformerAgent,
     envs: VecEnv<E>,
     /// One slot per world.
-    slots: Vec<EnvSlot<'a, O::Record>>,
+    slots: Vec<EnvSlot<'a>>,
 }
 
 /// A world's sequence and its current episode.
-struct EnvSlot<'s, R> {
+struct EnvSlot<'s> {
     sequence_idx: usize,
     /// Never empty.
     sequence: &'s [EpisodeSpec],
@@ -153,18 +136,27 @@ struct EnvSlot<'s, R> {
     forced_reset: bool,
     n_steps: u32,
     episode_return: RewardTerms,
-    record: Option<R>,
+    /// The steps so far, if the episode is recorded.
+    recording: Option<Vec<Transition>>,
 }
 
-impl<'s, R> EnvSlot<'s, R> {
+impl<'s> EnvSlot<'s> {
     fn new((sequence_idx, sequence): (usize, &'s [EpisodeSpec])) -> Self {
         let (played, episode_return) = (sequence[0].clone(), RewardTerms::default());
-        let results = Vec::new();
-        Self { sequence_idx, sequence, results, played, forced_reset: false, n_steps: 0, episode_return, record: None }
+        Self {
+            sequence_idx,
+            sequence,
+            results: Vec::new(),
+            played,
+            forced_reset: false,
+            n_steps: 0,
+            episode_return,
+            recording: None,
+        }
     }
 }
 
-impl<E: Env + Clone, O: EpisodeObserver> EnvironmentLoop<'_, E, O> {
+impl<E: Env + Clone> EnvironmentLoop<'_, E> {
     /// Starts the next episode of a world's sequence.
     fn start(&mut self, row: usize) -> Result<(), EvalError> {
         let slot = &mut self.slots[row];
@@ -187,9 +179,8 @@ impl<E: Env + Clone, O: EpisodeObserver> EnvironmentLoop<'_, E, O> {
         self.envs.seed(row, generator(spec.task.seed, 1));
         (slot.n_steps, slot.episode_return) = (0, RewardTerms::default());
         slot.played = EpisodeSpec { task, ..spec.clone() };
-        let start = self.envs.env(row).observation();
-        let begin = |observer: &O| observer.begin(slot.sequence_idx, &slot.played, self.rules.acting, start);
-        slot.record = self.rules.observer.and_then(begin);
+        let is_recorded = self.rules.recorder.is_some_and(|recorder| recorder.wants(&slot.played, self.rules.acting));
+        slot.recording = is_recorded.then(Vec::new);
         Ok(())
     }
 
@@ -212,8 +203,8 @@ impl<E: Env + Clone, O: EpisodeObserver> EnvironmentLoop<'_, E, O> {
         let StepResult { reward, status } = step.result;
         slot.n_steps += 1;
         slot.episode_return = slot.episode_return + reward;
-        if let (Some(observer), Some(record)) = (rules.observer, &mut slot.record) {
-            observer.observe(record, step, self.envs.env(row).observation());
+        if let Some(recording) = &mut slot.recording {
+            recording.push(transition(step));
         }
         if status == Status::Running {
             return None;
@@ -236,8 +227,9 @@ impl<E: Env + Clone, O: EpisodeObserver> EnvironmentLoop<'_, E, O> {
             episode_return: slot.episode_return,
             forced_reset: slot.forced_reset,
         };
-        if let (Some(observer), Some(record)) = (rules.observer, slot.record.take()) {
-            observer.end(record, &slot.played, env.scene(), &result);
+        if let (Some(recorder), Some(transitions)) = (rules.recorder, slot.recording.take()) {
+            let episode = trajectory(rules.performer, task, transitions, env.scene(), &result);
+            recorder.keep(slot.sequence_idx, episode, &result);
         }
         Some(result)
     }

@@ -6,8 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use proto::{Action, Start, Task, Valid};
 
 use crate::config::EpisodeConfig;
-use crate::episodes::evaluate_followed;
-use crate::follower::Follower;
+use crate::episodes::{Follower, evaluate};
 use crate::performance::Performer;
 use crate::setup::{EvalError, EvalSetup, N_WORLDS};
 
@@ -92,7 +91,7 @@ pub fn try_building(environment: &Valid<EnvironmentConfig>, blueprint: &Blueprin
         n_worlds: N_WORLDS,
         seed: 0,
     };
-    let report = evaluate_followed(&setup, Performer::Expert, &[blueprint], &Follower::default())?;
+    let report = evaluate(&setup, Performer::Expert, &[blueprint], &Follower::default())?;
     let n_successes = report.blueprints.iter().map(|found| found.greedy.success.n_successes).sum();
     Ok((n_successes, u64::from(N_EPISODES)))
 }

@@ -3,7 +3,7 @@
 use actor::{ActorSetup, Lockstep, TaskFilter};
 use blueprints::Catalog;
 use deploy::config::{Config, PRESETS};
-use evaluator::{EvalSetup, N_WORLDS, Selection, evaluate};
+use evaluator::{EvalSetup, Follower, N_WORLDS, Performer, Selection, evaluate};
 use learner::{Learner, LearnerSetup};
 use proto::Valid;
 
@@ -67,7 +67,8 @@ impl Ring {
         let blueprints = self.config.evaluator.selection.select(Catalog::builtin()).unwrap();
         let policy = self.config.part(|config| &config.policy);
         let weights = self.learner.weights();
-        let report = evaluate(&setup, &policy, &weights, &blueprints, &|| true).unwrap();
+        let performer = Performer::Policy(&policy, &weights);
+        let report = evaluate(&setup, performer, &blueprints, &Follower::default()).unwrap();
         let all = report.summary.all;
         if all.greedy.success.n_episodes > 0 { all.greedy.success.rate } else { all.sampled.success.rate }
     }

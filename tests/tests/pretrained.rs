@@ -2,7 +2,7 @@
 
 use blueprints::{Catalog, Split};
 use evaluator::config::{EpisodeConfig, Starts};
-use evaluator::{EvalSetup, N_WORLDS, evaluate};
+use evaluator::{EvalSetup, Follower, N_WORLDS, Performer, evaluate};
 use learner::read_model;
 use proto::{ActionMode, Valid};
 
@@ -57,7 +57,8 @@ fn the_shipped_policy_repeats_a_sample_of_its_episodes() {
     };
     let mut goals = catalog.of_split(Split::Validation).to_vec();
     goals.retain(|goal| goal.n_blocks() >= 7);
-    let report = evaluate(&setup, &model.policy, &model.weights, &goals, &|| true).unwrap();
+    let performer = Performer::Policy(&model.policy, &model.weights);
+    let report = evaluate(&setup, performer, &goals, &Follower::default()).unwrap();
     let found: Vec<(&str, Option<u16>)> = report
         .blueprints
         .iter()

@@ -4,8 +4,8 @@ use std::time::Instant;
 
 use blueprints::Split;
 use evaluator::{
-    Endings, EvalSetup, EvaluationProgress, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection,
-    evaluate_followed, render, render_endings,
+    Endings, EvalSetup, EvaluationProgress, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection, evaluate,
+    render, render_endings,
 };
 use proto::Valid;
 use tokio::sync::watch;
@@ -47,7 +47,6 @@ pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &Cancell
     let mut episodes = config.evaluator.episodes.clone();
     episodes.n_episodes = args.episodes;
     episodes.n_threads = n_threads(args.threads);
-    let n_modes = if args.expert { 1 } else { episodes.acting.len() };
     let setup = EvalSetup {
         catalog: &goals.catalog,
         environment: Config::evaluation_environment(&config),
@@ -57,23 +56,18 @@ pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &Cancell
         n_worlds: if args.expert { 1 } else { N_WORLDS },
         seed: config.seed,
     };
-    let n_planned = (n_modes * blueprints.len()) as u64 * u64::from(args.episodes);
     let (progress, counted) = watch::channel(None);
     let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.on_stderr(), || true));
-    progress.send_replace(Some(EvaluationProgress { n_planned, ..EvaluationProgress::default() }));
     let start = Instant::now();
     let endings = args.endings.then(Endings::default);
-    let follower = Follower {
-        keep_going: &|| !shutdown.is_cancelled(),
-        on_episode: &|episode| progress.send_modify(|so_far| so_far.get_or_insert_default().count(episode)),
-        endings: endings.as_ref(),
-    };
+    let follower =
+        Follower { keep_going: &|| !shutdown.is_cancelled(), progress: Some(&progress), endings: endings.as_ref() };
     let performer = match &source {
         Some(source) => Performer::Policy(&source.model.policy, &source.model.weights),
         None => Performer::Expert,
     };
-    let report = evaluate_followed(&setup, performer, &blueprints, &follower);
-    let n_ended = progress.borrow().map_or(0, |so_far| so_far.n_ended);
+    let report = evaluate(&setup, performer, &blueprints, &follower);
+    let EvaluationProgress { n_ended, n_planned, .. } = progress.borrow().unwrap_or_default();
     drop(progress);
     counting.await?;
     let mut report = report.map_err(anyhow::Error::from)?;

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Context;
 use blueprints::Blueprint;
 use evaluator::report::{End, EpisodeResult};
-use evaluator::{EpisodeConfig, EvalSetup, EvaluationProgress, Performer, record};
+use evaluator::{EpisodeConfig, EvalSetup, EvaluationProgress, Follower, Performer, record};
 use parking_lot::Mutex;
 use proto::codec::encode_recording;
 use proto::{ActionMode, Trajectory};
@@ -63,21 +63,18 @@ pub(super) async fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cance
         n_worlds: 1,
         seed: args.seed,
     };
-    let n_planned = u64::from(args.episodes) * blueprints.len() as u64;
     let (progress, counted) = watch::channel(None);
     let counting = tokio::spawn(live::show_episodes(counted, "recorded", terminal.on_stderr(), || true));
-    progress.send_replace(Some(EvaluationProgress { n_planned, ..EvaluationProgress::default() }));
     let stop = shutdown.child_token();
     let recording = Mutex::new(Recording { folder: &args.out, n_files: 0, n_diverged: 0, failure: None });
-    let keep_going = || !stop.is_cancelled();
+    let follower = Follower { keep_going: &|| !stop.is_cancelled(), progress: Some(&progress), endings: None };
     let on_episode = |idx: usize, trajectory: Trajectory, result: &EpisodeResult| {
-        progress.send_modify(|so_far| so_far.get_or_insert_default().count(result));
         if !recording.lock().keep(idx, &trajectory, result) {
             stop.cancel();
         }
     };
-    let played = record(&setup, performer, acting, &blueprints, &keep_going, &on_episode);
-    let n_ended = progress.borrow().map_or(0, |so_far| so_far.n_ended);
+    let played = record(&setup, performer, acting, &blueprints, &follower, &on_episode);
+    let EvaluationProgress { n_ended, n_planned, .. } = progress.borrow().unwrap_or_default();
     drop(progress);
     counting.await?;
     let recording = recording.into_inner();

@@ -12,7 +12,6 @@ use proto::{ActionMode, Valid, WeightsVersion};
 use super::*;
 use crate::config::{EpisodeConfig, Starts};
 use crate::setup::N_WORLDS;
-use crate::videos::EpisodeSelector;
 
 #[path = "../../../policy/tests/samples/untrained.rs"]
 mod untrained;
@@ -42,7 +41,7 @@ fn blueprints(n: usize) -> Vec<&'static Blueprint> {
 }
 
 fn report(setup: &EvalSetup<'_>, n_blueprints: usize) -> EvalReport {
-    evaluate(setup, &small_policy(), &weights(), &blueprints(n_blueprints), &|| true).unwrap()
+    evaluate(setup, performer(), &blueprints(n_blueprints), &Follower::default()).unwrap()
 }
 
 #[test]
@@ -62,9 +61,8 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     // 62 blueprints of 2 to 4 blocks: 124 episodes in parts of 32, 64, and 124.
     let blueprints = blueprints(62);
     let mut parts = Vec::new();
-    let observer = None::<&EpisodeSelector>;
     let performer = performer();
-    let pool = EvaluationPool { setup: &setup, performer, observer, progress: None, keep_going: &|| true };
+    let pool = EvaluationPool { setup: &setup, performer, recorder: None, progress: None, keep_going: &|| true };
     let whole = evaluate_in_parts(&pool, &blueprints, &mut |part| parts.push(part)).unwrap();
     let n_episodes = |report: &EvalReport| report.summary.all.greedy.success.n_episodes;
     assert_eq!(parts.iter().map(n_episodes).collect::<Vec<_>>(), [32, 64]);
@@ -74,7 +72,7 @@ fn parts_are_spread_over_all_blueprints_and_grow_into_the_whole() {
     let first: Vec<_> = parts[0].blueprints.iter().map(|score| &score.blueprint).collect();
     assert!(blueprints.iter().step_by(2).all(|blueprint| first.contains(&blueprint.id())), "{first:?}");
     assert_eq!(parts[1].blueprints.len(), 62);
-    assert_eq!(whole, evaluate(&setup, &small_policy(), &weights(), &blueprints, &|| true).unwrap());
+    assert_eq!(whole, evaluate(&setup, performer, &blueprints, &Follower::default()).unwrap());
 }
 
 #[test]
@@ -98,15 +96,10 @@ fn what_an_interrupted_evaluation_found_is_reported() {
     let acting = vec![ActionMode::Greedy];
     let episodes = EpisodeConfig { n_episodes: 3, acting, n_threads: 1, ..Default::default() };
     let setup = EvalSetup { n_worlds: 1, ..small_setup(episodes) };
-    let n_ended = AtomicUsize::new(0);
-    let follower = Follower {
-        keep_going: &|| n_ended.load(Ordering::Relaxed) < 2,
-        on_episode: &|_| {
-            n_ended.fetch_add(1, Ordering::Relaxed);
-        },
-        endings: None,
-    };
-    let report = evaluate_followed(&setup, performer(), &blueprints(1), &follower).unwrap();
+    let progress = watch::Sender::<Option<EvaluationProgress>>::default();
+    let keep_going = || progress.borrow().is_none_or(|so_far| so_far.n_ended < 2);
+    let follower = Follower { keep_going: &keep_going, progress: Some(&progress), endings: None };
+    let report = evaluate(&setup, performer(), &blueprints(1), &follower).unwrap();
     let summary = &report.summary;
     assert_eq!((summary.is_complete, summary.n_planned, summary.all.greedy.success.n_episodes), (false, 3, 2));
 }
@@ -117,7 +110,7 @@ fn what_one_thread_cannot_start_ends_the_work_of_all() {
     let goals = blueprints(2);
     let catalog = Catalog::of_one(goals[0].clone());
     let setup = EvalSetup { catalog: &catalog, n_worlds: 1, ..small_setup(episodes) };
-    let result = evaluate(&setup, &small_policy(), &weights(), &goals, &|| true);
+    let result = evaluate(&setup, performer(), &goals, &Follower::default());
     assert_eq!(result.unwrap_err().to_string(), format!("an episode of blueprint {} cannot be started", goals[1].id()));
 }
 
@@ -130,7 +123,8 @@ fn a_panic_of_one_thread_is_passed_on() {
         0 => panic!("out of order"),
         _ => true,
     };
-    let evaluation = || evaluate(&setup, &small_policy(), &weights(), &blueprints(2), &keep_going);
+    let follower = Follower { keep_going: &keep_going, ..Follower::default() };
+    let evaluation = || evaluate(&setup, performer(), &blueprints(2), &follower);
     let panic = catch_unwind(AssertUnwindSafe(evaluation)).unwrap_err();
     assert_eq!(panic.downcast_ref::<&str>(), Some(&"out of order"));
 }
@@ -146,12 +140,12 @@ fn reset_free_runs_count_every_goal() {
     assert_eq!(runs.sampled.outcome.success.n_episodes, 0);
     let small = Catalog::of_one(blueprints(1)[0].clone());
     let setup = EvalSetup { catalog: &small, ..setup };
-    let result = evaluate(&setup, &small_policy(), &weights(), &blueprints(1), &|| true);
+    let result = evaluate(&setup, performer(), &blueprints(1), &Follower::default());
     assert_eq!(result.unwrap_err().to_string(), "no training blueprint has 12 blocks or more for the reset-free runs");
 }
 
 fn of_expert(setup: &EvalSetup<'_>, blueprints: &[&Blueprint]) -> EvalReport {
-    evaluate_followed(setup, Performer::Expert, blueprints, &Follower::default()).unwrap()
+    evaluate(setup, Performer::Expert, blueprints, &Follower::default()).unwrap()
 }
 
 /// A setup with episodes of full length, for the expert.

@@ -4,7 +4,6 @@ use policy::Policy;
 use proto::Valid;
 
 use super::*;
-use crate::videos::EpisodeSelector;
 
 #[path = "../../../environment/tests/toy/mod.rs"]
 mod toy;
@@ -18,12 +17,13 @@ pub(crate) fn goal() -> &'static Blueprint {
 
 fn run(worlds: Vec<Toy>, sequences: &[Vec<EpisodeSpec>]) -> Vec<Vec<EpisodeResult>> {
     let mut agent = PerformerAgent::Policy(Box::new(Policy::new(&Valid::default())));
-    let rules: Rules<'_, EpisodeSelector> = Rules {
+    let rules = Rules {
         catalog: Catalog::builtin(),
+        performer: Performer::Expert,
         acting: ActionMode::Sampled,
         success: &SuccessConfig::default(),
         keep_going: &|| true,
-        observer: None,
+        recorder: None,
     };
     let mut waiting = sequences.iter().map(Vec::as_slice).enumerate();
     let mut all = vec![Vec::new(); sequences.len()];

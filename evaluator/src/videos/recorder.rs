@@ -7,7 +7,6 @@ use std::thread::JoinHandle;
 
 use anyhow::Context;
 use blueprints::Catalog;
-use proto::Weights;
 use proto::codec::encode_recording;
 use proto::metrics::VideoCounts;
 
@@ -67,9 +66,9 @@ impl VideoRecorder {
         Ok(Some(Self { config: config.clone(), queue, thread: Some(thread) }))
     }
 
-    /// Returns the selector of the episodes to record in an evaluation of `weights`.
-    pub(crate) fn selector(&self, weights: &Arc<Weights>, acting: &[ActionMode]) -> Option<EpisodeSelector> {
-        Some(EpisodeSelector::new(&self.config, weights.clone(), *acting.first()?, self.queue.clone()))
+    /// Returns the selector of the episodes to record in an evaluation.
+    pub(crate) fn selector(&self, acting: &[ActionMode]) -> Option<EpisodeSelector> {
+        Some(EpisodeSelector::new(&self.config, *acting.first()?, self.queue.clone()))
     }
 
     pub(crate) fn counts(&self) -> VideoCounts {

@@ -4,15 +4,14 @@ use parking_lot::Mutex;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use blueprints::{BlueprintId, Group};
-use environment::Step;
-use proto::{ActionMode, Observation, Scene, Weights};
+use blueprints::{BlueprintId, Group, Split};
+use proto::{ActionMode, ActorId, Trajectory};
 
 use super::queue::{ClipQueue, VideoRequest};
 use crate::config::VideosConfig;
-use crate::recording::{Credits, Recording};
+use crate::recording::Recorder;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeObserver, EpisodeSpec};
+use crate::sequences::EpisodeSpec;
 use runlog::videos::Ending;
 
 /// Maximum number of episodes recorded at a time. At a kilobyte per step, this takes some tens of megabytes.
@@ -24,7 +23,6 @@ const MAX_RECORDING: usize = 256;
 /// recordings are discarded.
 #[derive(Debug)]
 pub(crate) struct EpisodeSelector {
-    weights: Arc<Weights>,
     acting: ActionMode,
     open: Mutex<Open>,
     queue: Arc<ClipQueue>,
@@ -45,59 +43,53 @@ struct Open {
 }
 
 impl EpisodeSelector {
-    /// Creates the selector for an evaluation of `weights`. Only episodes with the action mode `acting` are recorded.
-    pub(super) fn new(config: &VideosConfig, weights: Arc<Weights>, acting: ActionMode, queue: Arc<ClipQueue>) -> Self {
+    /// Creates the selector for an evaluation. Only episodes with the action mode `acting` are recorded.
+    pub(super) fn new(config: &VideosConfig, acting: ActionMode, queue: Arc<ClipQueue>) -> Self {
         let groups = config.groups.iter().copied().map(Subject::Group);
         let subjects = groups.chain(config.blueprints.iter().cloned().map(Subject::Blueprint));
         let missing = subjects.flat_map(|subject| Ending::ALL.map(|ending| (subject.clone(), ending))).collect();
         let open = Mutex::new(Open { missing, n_taken: BTreeMap::new(), n_recording: 0 });
-        Self { weights, acting, open, queue }
+        Self { acting, open, queue }
     }
 }
 
-impl EpisodeObserver for EpisodeSelector {
-    type Record = Recording;
-
-    fn begin(&self, _: usize, spec: &EpisodeSpec, acting: ActionMode, _: Observation<'_>) -> Option<Recording> {
+impl Recorder for EpisodeSelector {
+    fn wants(&self, spec: &EpisodeSpec, acting: ActionMode) -> bool {
         if acting != self.acting {
-            return None;
+            return false;
         }
         let mut open = self.open.lock();
-        if !subjects(spec).any(|subject| Ending::ALL.iter().any(|&ending| open.lacks(&subject, ending))) {
-            return None;
+        let mut subjects = subjects(&spec.task.blueprint, spec.split, spec.n_blocks);
+        if !subjects.any(|subject| Ending::ALL.iter().any(|&ending| open.lacks(&subject, ending))) {
+            return false;
         }
         if open.n_recording >= MAX_RECORDING {
             self.queue.count_unrecorded();
-            return None;
+            return false;
         }
         open.n_recording += 1;
-        Some(Recording::default())
+        true
     }
 
-    fn observe(&self, recording: &mut Recording, step: Step, _: Observation<'_>) {
-        recording.push(step);
-    }
-
-    fn end(&self, recording: Recording, spec: &EpisodeSpec, last: &Scene, result: &EpisodeResult) {
+    fn keep(&self, _: usize, episode: Trajectory, result: &EpisodeResult) {
         let ending = match result.end {
             End::Success { .. } => Ending::Success,
             End::TimeLimit | End::Diverged => Ending::Failure,
         };
         let mut open = self.open.lock();
         open.n_recording = open.n_recording.saturating_sub(1);
-        let wanted: Vec<Subject> = subjects(spec).filter(|subject| open.lacks(subject, ending)).collect();
+        let subjects = subjects(&result.blueprint, result.split, result.n_blocks);
+        let wanted: Vec<Subject> = subjects.filter(|subject| open.lacks(subject, ending)).collect();
         if wanted.is_empty() {
             return;
         }
-        let credits = Credits::of_policy("evaluator", result.acting, self.weights.version);
-        let task = &spec.task;
-        let trajectory = recording.into_trajectory(credits, task, last, result);
         for subject in wanted {
             open.missing.remove(&(subject, ending));
         }
-        let number = open.n_taken.entry((task.blueprint.clone(), ending)).or_insert(0);
+        let number = open.n_taken.entry((result.blueprint.clone(), ending)).or_insert(0);
         *number += 1;
-        self.queue.offer(VideoRequest { trajectory, ending, number: *number });
+        let actor = ActorId::try_from("evaluator".to_owned()).expect("the name is lower case");
+        self.queue.offer(VideoRequest { trajectory: Trajectory { actor, ..episode }, ending, number: *number });
     }
 }
 
@@ -107,7 +99,7 @@ impl Open {
     }
 }
 
-fn subjects(spec: &EpisodeSpec) -> impl Iterator<Item = Subject> {
-    let group = Group::of(spec.split, spec.n_blocks).map(Subject::Group);
-    group.into_iter().chain([Subject::Blueprint(spec.task.blueprint.clone())])
+fn subjects(blueprint: &BlueprintId, split: Split, n_blocks: usize) -> impl Iterator<Item = Subject> + use<> {
+    let group = Group::of(split, n_blocks).map(Subject::Group);
+    group.into_iter().chain([Subject::Blueprint(blueprint.clone())])
 }

@@ -8,7 +8,7 @@ use blueprints::{Catalog, Split};
 use environment::{Step, StepResult};
 use proto::codec::decode_recording;
 use proto::metrics::VideoCounts;
-use proto::{Action, ActionMode, Decision, Observation, RewardTerms, Start, Status};
+use proto::{Action, ActionMode, Decision, RewardTerms, Start, Status};
 use runlog::RunPaths;
 
 use super::VideoRecorder;
@@ -18,10 +18,11 @@ use crate::config::{EpisodeConfig, VideosConfig};
 use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{performer, small_setup, weights};
 use crate::pool::EvaluationPool;
+use crate::recording::{Recorder, trajectory, transition};
 use crate::report::End;
 use crate::report::tests::episode;
+use crate::sequences::EpisodeSpec;
 use crate::sequences::tests::{goal, scene};
-use crate::sequences::{EpisodeObserver, EpisodeSpec};
 
 fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
@@ -34,15 +35,14 @@ fn names(folder: &Path) -> Vec<String> {
 fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let dir = tempfile::tempdir().unwrap();
     let setup = small_setup(EpisodeConfig { n_episodes: 2, ..Default::default() });
-    let weights = Arc::new(weights());
     let config = VideosConfig::default();
     let recorder =
         VideoRecorder::open(&config, &RunPaths::new(dir.path()), Catalog::builtin().clone()).unwrap().unwrap();
-    let selector = recorder.selector(&weights, &setup.episodes.acting);
+    let selector = recorder.selector(&setup.episodes.acting);
     let goals = Catalog::builtin().of_split(Split::Train)[..2].to_vec();
-    let evaluate = |observer: Option<&EpisodeSelector>| {
-        let performer = performer();
-        let pool = EvaluationPool { setup: &setup, performer, observer, progress: None, keep_going: &|| true };
+    let evaluate = |selector: Option<&EpisodeSelector>| {
+        let (performer, recorder) = (performer(), selector.map(|selector| selector as &dyn Recorder));
+        let pool = EvaluationPool { setup: &setup, performer, recorder, progress: None, keep_going: &|| true };
         evaluate_in_parts(&pool, &goals, &mut |_| {}).unwrap()
     };
     assert_eq!(evaluate(selector.as_ref()), evaluate(None));
@@ -56,25 +56,26 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     assert_eq!(names(&dir.path().join("videos").join(&folder)), ["00000002-failure.mp4"]);
     let replay = dir.path().join("replays").join(&folder).join("00000002-failure.trajectory");
     let segment = decode_recording(&fs::read(replay).unwrap()).unwrap();
-    assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights.version));
+    assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights().version));
     render::video::Episode::new(&[segment], goal).unwrap();
 }
 
 /// Plays an episode of one step with this end; returns whether it was recorded.
 fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
     let spec = EpisodeSpec::new(goal(), Start::Scattered, 1, 0);
-    let scene = scene();
-    let seen = Observation { scene: &scene, blueprint: goal() };
-    let Some(mut recording) = selector.begin(0, &spec, acting, seen) else { return false };
+    if !selector.wants(&spec, acting) {
+        return false;
+    }
     let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
     let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
-    selector.observe(&mut recording, Step { scene: scene.clone(), decision, result }, seen);
-    selector.end(recording, &spec, &scene, &episode(goal().id().as_str(), acting, end, 1));
+    let step = transition(Step { scene: scene(), decision, result });
+    let result = episode(goal().id().as_str(), acting, end, 1);
+    selector.keep(0, trajectory(performer(), &spec.task, vec![step], &scene(), &result), &result);
     true
 }
 
 fn selector(config: &VideosConfig, queue: &Arc<ClipQueue>) -> EpisodeSelector {
-    EpisodeSelector::new(config, Arc::new(weights()), ActionMode::Greedy, queue.clone())
+    EpisodeSelector::new(config, ActionMode::Greedy, queue.clone())
 }
 
 #[test]
