@@ -7,7 +7,6 @@ use blueprints::{Blueprint, Split};
 use proto::metrics::{EvalBlueprint, EvalReport};
 use proto::wilson::SuccessRate;
 use proto::{ActionMode, Weights};
-use runlog::series::outcome_of;
 use serde::{Deserialize, Serialize};
 
 use crate::config::BestConfig;
@@ -46,15 +45,12 @@ impl Verdict {
             .into_iter()
             .find(|(_, goals)| !goals.is_empty())
             .unwrap_or_else(|| ("all".to_owned(), usual.clone()));
-        let success = |acting| {
-            let counts = goals.iter().filter_map(|score| outcome_of(score, acting)).map(|outcome| outcome.success);
-            counts.fold((0, 0), |(n, of), one| (n + one.n_successes, of + one.n_episodes))
+        let success = |acting| -> SuccessRate {
+            goals.iter().filter_map(|score| score.outcome(acting)).map(|outcome| outcome.success).sum()
         };
-        let was_run = |acting: &ActionMode| success(*acting).1 > 0;
+        let was_run = |acting: &ActionMode| success(*acting).n_episodes > 0;
         let acting = [config.acting, config.acting.other()].into_iter().find(was_run).unwrap_or(config.acting);
-        let (n_successes, n_episodes) = success(acting);
-        let success = SuccessRate::new(n_successes, n_episodes);
-        Self { goals: name, n_goals: goals.len() as u64, acting, success }
+        Self { goals: name, n_goals: goals.len() as u64, acting, success: success(acting) }
     }
 
     /// Whether weights with this verdict take the place of earlier ones with the verdict `before`. A verdict on other

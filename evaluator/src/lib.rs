@@ -41,4 +41,4 @@ pub use pool::EvaluationProgress;
 pub use record::record;
 pub use run::{Listeners, Stop, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
-pub use table::{Detail, render, render_endings};
+pub use table::{render, render_endings};

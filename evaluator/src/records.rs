@@ -3,8 +3,7 @@
 use std::collections::VecDeque;
 
 use proto::metrics::EvalReport;
-use proto::{ActionMode, Role, keys};
-use runlog::series::outcome_of;
+use proto::{Role, keys};
 use runlog::{Evaluation, History, HistoryError, Lines, MetricsWriter, RunPaths, WriteError};
 
 /// The open record files. Writing can fail for a while, because the disk is full or because another program reads the
@@ -93,26 +92,22 @@ fn lines(report: &EvalReport) -> anyhow::Result<Lines> {
 fn scalars(report: &EvalReport) -> Vec<(String, f64)> {
     let mut scalars = Vec::new();
     for group in [&report.summary.all].into_iter().chain(&report.summary.groups) {
-        for (acting, outcome) in [(ActionMode::Greedy, &group.greedy), (ActionMode::Sampled, &group.sampled)] {
-            let group = group.name.replace(' ', "-");
-            if outcome.success.n_episodes > 0 {
-                scalars.push((format!("success-{acting}/{group}"), outcome.success.rate));
-            }
-            scalars.extend(outcome.mean_steps_to_success.map(|n| (format!("steps-to-success-{acting}/{group}"), n)));
+        let name = group.name.replace(' ', "-");
+        for (acting, outcome) in group.outcomes() {
+            scalars.push((format!("success-{acting}/{name}"), outcome.success.rate));
+            scalars.extend(outcome.mean_steps_to_success.map(|n| (format!("steps-to-success-{acting}/{name}"), n)));
         }
     }
     for score in &report.blueprints {
-        for acting in [ActionMode::Greedy, ActionMode::Sampled] {
-            let tag = format!("{}-{acting}/{}", score.split, score.blueprint);
-            scalars.extend(outcome_of(score, acting).map(|outcome| (tag, outcome.success.rate)));
-        }
+        let tag = |acting| format!("{}-{acting}/{}", score.split, score.blueprint);
+        scalars.extend(score.outcomes().map(|(acting, outcome)| (tag(acting), outcome.success.rate)));
     }
     scalars
 }
 
 #[cfg(test)]
 mod tests {
-    use proto::WeightsVersion;
+    use proto::{ActionMode, WeightsVersion};
 
     use super::*;
     use crate::report::tests::episode;

@@ -11,7 +11,6 @@ use policy::Policy;
 use proto::metrics::{EvalBlueprint, EvalReport};
 use proto::{Role, Weights, keys};
 use runlog::overview::Evaluations;
-use runlog::series::outcome_of;
 use runlog::{Evaluation, History, RunPaths};
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -298,7 +297,7 @@ impl Evaluated {
         let has = |blueprint: &Blueprint| {
             let of_it = |score: &&EvalBlueprint| score.blueprint == *blueprint.id();
             let has_all = |score: &EvalBlueprint| {
-                let of = |acting| outcome_of(score, acting).map(|outcome| outcome.success.n_episodes);
+                let of = |acting| score.outcome(acting).map(|outcome| outcome.success.n_episodes);
                 acting.iter().all(|&acting| of(acting) == Some(u64::from(*n_episodes)))
             };
             evaluation.blueprints.iter().find(of_it).is_some_and(has_all)

@@ -4,94 +4,103 @@ use std::collections::BTreeMap;
 
 use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
-use runlog::series::outcome_of;
 
 use crate::endings::{Ending, SizeEndings};
-
-/// Level of detail of the text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Detail {
-    /// Groups only.
-    Groups,
-    /// Also this many of the blueprints that do not always succeed, worst first.
-    Worst(usize),
-    /// Also every blueprint.
-    Blueprints,
-}
 
 /// Minimum width of the name column.
 const NAME_WIDTH: usize = 24;
 
-/// Lines whose first column is as wide as the longest name.
-#[derive(Default)]
-struct Table(Vec<Row>);
+/// Number of blueprints that are named if not all are.
+const N_WORST: usize = 5;
 
-enum Row {
-    /// Text outside the columns.
-    Words(String),
-    /// A name, and the text of the other columns.
-    Columns(String, String),
-}
+/// A name, whose column is as wide as the longest one, and the text of the other columns.
+type Row = (String, String);
 
-/// Formats the report as lines of at most 80 characters (unless a name is long), each ending with a line break. What
-/// would be the same row again is left out: a group of one blueprint, and all of one group.
+/// Formats the report as lines of at most 80 characters (unless a name is long), each ending with a line break: the
+/// groups, and every blueprint if `verbose`, or else the worst that do not always succeed. What would be the same row
+/// again is left out: a group of one blueprint, and all of one group.
 ///
 /// `of` is the number of episodes. Rates are in percent, with Wilson's 95 % interval for success. `stable` is the rate
 /// of stable success, `steps` the mean number of steps of successful episodes, and `return` the mean undiscounted return
 /// of all episodes.
-pub fn render(report: &EvalReport, detail: Detail) -> String {
+pub fn render(report: &EvalReport, verbose: bool) -> String {
     let summary = &report.summary;
-    let mut text = Table::default();
+    let mut text = String::new();
     // The expert has no weights.
     if summary.weights_version.0 > 0 {
-        text.words(format!("weights {} after {} environment steps", summary.weights_version.0, summary.n_env_steps));
+        let (version, n_env_steps) = (summary.weights_version.0, summary.n_env_steps);
+        text += &format!("weights {version} after {n_env_steps} environment steps\n");
     }
     if !summary.is_complete {
-        text.words("interrupted: only the episodes that had ended count".to_owned());
+        text += "interrupted: only the episodes that had ended count\n";
     }
+    let mut rows = Vec::new();
     if let [one] = &report.blueprints[..] {
-        text.header("blueprint");
-        text.blueprint(one);
+        rows.push(header("blueprint"));
+        rows.extend(blueprint(one));
     } else {
-        text.header("group (blueprints)");
+        rows.push(header("group (blueprints)"));
         let all = (summary.groups.len() != 1).then_some(&summary.all);
         for group in summary.groups.iter().chain(all) {
             let name = format!("{} ({})", group.name, group.n_blueprints);
-            text.lines(&name, &group.greedy, &group.sampled);
+            rows.extend(group.outcomes().map(|(acting, outcome)| row(&name, acting, outcome)));
         }
     }
     if let Some(runs) = &summary.reset_free {
         let name = format!("reset-free ({} x {})", runs.n_runs, runs.n_goals);
-        text.lines(&name, &runs.greedy.outcome, &runs.sampled.outcome);
+        rows.extend(runs.outcomes().map(|(acting, runs)| row(&name, acting, &runs.outcome)));
     }
     if report.blueprints.len() != 1 {
-        blueprints(&mut text, &report.blueprints, detail);
+        rows.extend(blueprints(&report.blueprints, verbose));
     }
-    text.render()
+    aligned(text, rows)
 }
 
-/// Writes the section about single blueprints.
-fn blueprints(text: &mut Table, all: &[EvalBlueprint], detail: Detail) {
-    let rate = |score: &EvalBlueprint| {
-        let evaluated =
-            [ActionMode::Greedy, ActionMode::Sampled].into_iter().find_map(|acting| outcome_of(score, acting));
-        evaluated.map_or(0.0, |outcome| outcome.success.rate)
-    };
-    let (title, shown): (_, Vec<&EvalBlueprint>) = match detail {
-        Detail::Groups => return,
-        Detail::Blueprints => ("blueprint".to_owned(), all.iter().collect()),
-        Detail::Worst(n) => {
-            let mut imperfect: Vec<&EvalBlueprint> = all.iter().filter(|one| rate(one) < 1.0).collect();
-            imperfect.sort_by(|a, b| rate(a).total_cmp(&rate(b)));
-            let title = format!("worst {} of {} below 100 %", n.min(imperfect.len()), imperfect.len());
-            imperfect.truncate(n);
-            (title, imperfect)
-        }
-    };
-    if !shown.is_empty() {
-        text.header(&title);
-        shown.into_iter().for_each(|one| text.blueprint(one));
+fn aligned(mut text: String, rows: Vec<Row>) -> String {
+    let width = rows.iter().map(|(name, _)| name.chars().count()).fold(NAME_WIDTH, usize::max);
+    for (name, columns) in rows {
+        text += &format!("{name:<width$} {columns}\n");
     }
+    text
+}
+
+/// Returns the section about single blueprints.
+fn blueprints(all: &[EvalBlueprint], verbose: bool) -> Vec<Row> {
+    let rate = |score: &EvalBlueprint| score.outcomes().next().map_or(0.0, |(_, outcome)| outcome.success.rate);
+    let mut shown: Vec<&EvalBlueprint> = all.iter().collect();
+    let mut title = "blueprint".to_owned();
+    if !verbose {
+        shown.retain(|one| rate(one) < 1.0);
+        shown.sort_by(|a, b| rate(a).total_cmp(&rate(b)));
+        title = format!("worst {} of {} below 100 %", N_WORST.min(shown.len()), shown.len());
+        shown.truncate(N_WORST);
+    }
+    let title = (!shown.is_empty()).then(|| header(&title));
+    title.into_iter().chain(shown.into_iter().flat_map(blueprint)).collect()
+}
+
+fn header(what: &str) -> Row {
+    (what.to_owned(), "actions     of     %    interval stable steps return".to_owned())
+}
+
+/// Returns a row for each evaluated action mode.
+fn blueprint(score: &EvalBlueprint) -> impl Iterator<Item = Row> {
+    let name = format!("{} {}", score.split, score.blueprint);
+    score.outcomes().map(move |(acting, outcome)| row(&name, acting, outcome))
+}
+
+fn row(name: &str, acting: ActionMode, outcome: &EvalOutcome) -> Row {
+    let n_episodes = outcome.success.n_episodes;
+    let rate = 100.0 * outcome.success.rate;
+    let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
+    let stable = 100.0 * outcome.stable_success.rate;
+    let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
+    let mean_return = outcome.mean_return.total();
+    let interval = format!("{low:.1}-{high:.1}");
+    let acting = acting.name();
+    let columns =
+        format!("{acting:<7} {n_episodes:>6} {rate:>5.1} {interval:>11} {stable:>6.1} {steps:>5} {mean_return:>6.2}");
+    (name.to_owned(), columns)
 }
 
 /// Formats how episodes ended as lines, each ending with a line break: the share of each [ending](Ending) in percent;
@@ -122,57 +131,6 @@ pub fn render_endings(sizes: &BTreeMap<(&str, usize), SizeEndings>) -> String {
     text
 }
 
-impl Table {
-    fn words(&mut self, words: String) {
-        self.0.push(Row::Words(words));
-    }
-
-    fn header(&mut self, what: &str) {
-        let columns = "actions     of     %    interval stable steps return";
-        self.0.push(Row::Columns(what.to_owned(), columns.to_owned()));
-    }
-
-    fn blueprint(&mut self, score: &EvalBlueprint) {
-        self.lines(&format!("{} {}", score.split, score.blueprint), &score.greedy, &score.sampled);
-    }
-
-    /// Adds a line for each evaluated action mode.
-    fn lines(&mut self, name: &str, greedy: &EvalOutcome, sampled: &EvalOutcome) {
-        for (acting, outcome) in [("greedy", greedy), ("sampled", sampled)] {
-            if outcome.success.n_episodes > 0 {
-                self.line(name, acting, outcome);
-            }
-        }
-    }
-
-    fn line(&mut self, name: &str, actions: &str, outcome: &EvalOutcome) {
-        let n_episodes = outcome.success.n_episodes;
-        let rate = 100.0 * outcome.success.rate;
-        let (low, high) = (100.0 * outcome.success.wilson_low, 100.0 * outcome.success.wilson_high);
-        let stable = 100.0 * outcome.stable_success.rate;
-        let steps = outcome.mean_steps_to_success.map_or_else(|| "-".to_owned(), |steps| format!("{steps:.1}"));
-        let mean_return = outcome.mean_return.total();
-        let interval = format!("{low:.1}-{high:.1}");
-        let columns = format!(
-            "{actions:<7} {n_episodes:>6} {rate:>5.1} {interval:>11} {stable:>6.1} {steps:>5} {mean_return:>6.2}"
-        );
-        self.0.push(Row::Columns(name.to_owned(), columns));
-    }
-
-    fn render(self) -> String {
-        let name_len = |row: &Row| match row {
-            Row::Words(_) => 0,
-            Row::Columns(name, _) => name.chars().count(),
-        };
-        let width = self.0.iter().map(name_len).fold(NAME_WIDTH, usize::max);
-        let line = |row: Row| match row {
-            Row::Words(words) => format!("{words}\n"),
-            Row::Columns(name, columns) => format!("{name:<width$} {columns}\n"),
-        };
-        self.0.into_iter().map(line).collect()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use proto::wilson::SuccessRate;
@@ -191,30 +149,30 @@ mod tests {
 
     #[test]
     fn the_worst_blueprints_are_named_worst_first() {
-        let goals = [("2_000", 4), ("2_001", 2), ("2_002", 0), ("2_003", 3)];
+        let goals = [("2_000", 4), ("2_001", 2), ("2_002", 0), ("2_003", 3), ("3_000", 1), ("3_001", 3), ("3_002", 2)];
         let episodes: Vec<EpisodeResult> = goals.into_iter().flat_map(|(id, n)| four_episodes(id, n)).collect();
         let mut report = summarize(WeightsVersion(4), 8192, &episodes);
-        let named = |report: &EvalReport, detail| -> Vec<String> {
-            let text = render(report, detail);
-            text.lines().filter(|line| line.starts_with("train 2_")).map(|line| line[6..11].to_owned()).collect()
+        let named = |report: &EvalReport, verbose| -> Vec<String> {
+            let text = render(report, verbose);
+            let of_goals = text.lines().filter(|line| line.starts_with("train ") && line.contains('_'));
+            of_goals.map(|line| line[6..11].to_owned()).collect()
         };
-        assert_eq!(named(&report, Detail::Worst(2)), ["2_002", "2_001"]);
-        assert_eq!(named(&report, Detail::Worst(5)), ["2_002", "2_001", "2_003"]);
-        assert_eq!(named(&report, Detail::Groups), Vec::<String>::new());
-        assert!(render(&report, Detail::Worst(2)).contains("worst 2 of 3 below 100 %"));
+        assert_eq!(named(&report, false), ["2_002", "3_000", "2_001", "3_002", "2_003"]);
+        assert_eq!(named(&report, true), goals.map(|(id, _)| id));
+        assert!(render(&report, false).contains("worst 5 of 6 below 100 %"));
         let perfect = summarize(WeightsVersion(4), 8192, &four_episodes("2_000", 4).collect::<Vec<_>>());
-        assert!(!render(&perfect, Detail::Worst(2)).contains("worst"));
+        assert!(!render(&perfect, false).contains("worst"));
         report.summary.is_complete = false;
-        assert!(render(&report, Detail::Groups).contains("interrupted"));
+        assert!(render(&report, false).contains("interrupted"));
     }
 
     #[test]
     fn long_names_widen_their_column() {
-        let mut table = Table::default();
-        table.words("words of any length do not count, however long they may be".to_owned());
-        table.header("group");
-        table.line("test-tallest tallest_16_000", "greedy", &EvalOutcome::default());
-        let text = table.render();
+        let greedy = row("test-tallest tallest_16_000", ActionMode::Greedy, &EvalOutcome::default());
+        let text = aligned(
+            "words of any length do not count, however long they may be\n".to_owned(),
+            vec![header("group"), greedy],
+        );
         let columns = |word: &str| text.lines().find_map(|line| line.find(word)).unwrap();
         assert_eq!((columns("actions"), columns("greedy")), (28, 28), "{text}");
     }
@@ -225,7 +183,7 @@ mod tests {
         let ends = [(SUCCESS, 8), (End::TimeLimit, 100)];
         let of = |id| ends.map(|(end, n_steps)| episode(id, ActionMode::Greedy, end, n_steps));
         // The same row is not printed three times.
-        let one = render(&summarize(WeightsVersion(4), 8192, &of("2_003")), Detail::Worst(5));
+        let one = render(&summarize(WeightsVersion(4), 8192, &of("2_003")), false);
         let expected = "\
 weights 4 after 8192 environment steps
 blueprint                actions     of     %    interval stable steps return
@@ -241,12 +199,11 @@ blueprint                actions     of     %    interval stable steps return
 train 2_003              greedy       2  50.0    9.5-90.5   50.0   8.0   0.75
 train 2_004              greedy       2  50.0    9.5-90.5   50.0   8.0   0.75
 ";
-        assert_eq!(render(&summarize(WeightsVersion(4), 8192, &two), Detail::Blueprints), expected);
+        assert_eq!(render(&summarize(WeightsVersion(4), 8192, &two), true), expected);
     }
 
     #[test]
     fn the_longest_row_fits_into_80_columns() {
-        let mut table = Table::default();
         let all = EvalOutcome {
             success: SuccessRate::new(380_000, 380_000),
             stable_success: SuccessRate::new(380_000, 380_000),
@@ -254,7 +211,7 @@ train 2_004              greedy       2  50.0    9.5-90.5   50.0   8.0   0.75
             mean_return: RewardTerms { wrong: -12.34, ..RewardTerms::default() },
             ..EvalOutcome::default()
         };
-        table.line("test-longest longest_16_000", "sampled", &all);
-        assert_eq!(table.render().trim_end().chars().count(), 80);
+        let longest = row("test-longest longest_16_000", ActionMode::Sampled, &all);
+        assert_eq!(aligned(String::new(), vec![longest]).trim_end().chars().count(), 80);
     }
 }

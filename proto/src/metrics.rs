@@ -4,11 +4,11 @@
 
 use std::collections::BTreeMap;
 
-use blueprints::{BlueprintId, Split};
+use blueprints::{BlueprintId, Group, Split};
 use serde::{Deserialize, Serialize};
 
 use crate::wilson::SuccessRate;
-use crate::{ActorId, RewardTerms, WeightsVersion};
+use crate::{ActionMode, ActorId, RewardTerms, WeightsVersion};
 
 /// Schema version of all structs in this module.
 pub const METRICS_SCHEMA_VERSION: u32 = 2;
@@ -263,6 +263,32 @@ pub struct EvalOutcome {
     pub n_diverged: u64,
 }
 
+impl EvalBlueprint {
+    /// Returns the results of each evaluated action mode, greedy first.
+    pub fn outcomes(&self) -> impl Iterator<Item = (ActionMode, &EvalOutcome)> {
+        evaluated(&self.greedy, &self.sampled, |outcome| outcome)
+    }
+
+    /// Returns the results with one action mode; `None` if it was not evaluated.
+    pub fn outcome(&self, acting: ActionMode) -> Option<&EvalOutcome> {
+        self.outcomes().find(|(evaluated, _)| *evaluated == acting).map(|(_, outcome)| outcome)
+    }
+
+    /// Returns the goal's group; `None` for a size outside the paper's groups.
+    pub fn group(&self) -> Option<Group> {
+        Group::of(self.split, usize::try_from(self.n_blocks).ok()?)
+    }
+}
+
+fn evaluated<'r, T>(
+    greedy: &'r T,
+    sampled: &'r T,
+    outcome: fn(&T) -> &EvalOutcome,
+) -> impl Iterator<Item = (ActionMode, &'r T)> {
+    let both = [(ActionMode::Greedy, greedy), (ActionMode::Sampled, sampled)];
+    both.into_iter().filter(move |(_, results)| outcome(results).success.n_episodes > 0)
+}
+
 /// The evaluation of one policy on all evaluated blueprints; key `metrics/eval/summary`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvalSummary {
@@ -330,6 +356,13 @@ pub struct EvalGroup {
     pub greedy: EvalOutcome,
 }
 
+impl EvalGroup {
+    /// Returns the results of each evaluated action mode, greedy first.
+    pub fn outcomes(&self) -> impl Iterator<Item = (ActionMode, &EvalOutcome)> {
+        evaluated(&self.greedy, &self.sampled, |outcome| outcome)
+    }
+}
+
 /// Goals evaluated one after the other without resets in between (paper, section "Reset-Free Evaluation").
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EvalResetFree {
@@ -341,6 +374,13 @@ pub struct EvalResetFree {
     pub sampled: EvalRuns,
     /// Results with the most probable action.
     pub greedy: EvalRuns,
+}
+
+impl EvalResetFree {
+    /// Returns the results of each evaluated action mode, greedy first.
+    pub fn outcomes(&self) -> impl Iterator<Item = (ActionMode, &EvalRuns)> {
+        evaluated(&self.greedy, &self.sampled, |runs| &runs.outcome)
+    }
 }
 
 /// Results of reset-free runs with one action mode.

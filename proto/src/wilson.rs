@@ -49,6 +49,15 @@ impl SuccessRate {
     }
 }
 
+impl std::iter::Sum for SuccessRate {
+    /// Returns the rate of all episodes together.
+    fn sum<I: Iterator<Item = Self>>(rates: I) -> Self {
+        let (n_successes, n_episodes) =
+            rates.fold((0, 0), |(hits, all), rate| (hits + rate.n_successes, all + rate.n_episodes));
+        Self::new(n_successes, n_episodes)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

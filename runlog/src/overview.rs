@@ -6,7 +6,7 @@ use proto::wilson::SuccessRate;
 use serde::Serialize;
 
 use crate::Evaluation;
-use crate::series::{Row, group_of, outcome_of, push_newer};
+use crate::series::{Row, push_newer};
 use blueprints::Group;
 use proto::ActionMode;
 
@@ -61,14 +61,6 @@ pub struct GroupView {
     pub sampled: Option<SuccessRate>,
 }
 
-/// A row of the heat map.
-#[derive(Debug, Serialize)]
-struct BlueprintView<'p> {
-    #[serde(flatten)]
-    row: &'p Row,
-    group: Option<&'static str>,
-}
-
 /// An evaluation as serialized; the counts are in the order of the blueprint table.
 #[derive(Debug, Serialize)]
 struct EvaluationView<'p> {
@@ -82,7 +74,7 @@ struct EvaluationView<'p> {
 #[derive(Debug, Serialize)]
 pub struct Overview<'p> {
     schema_version: u32,
-    blueprints: Vec<BlueprintView<'p>>,
+    blueprints: Vec<&'p Row>,
     n_left_out: u64,
     evaluations: Vec<EvaluationView<'p>>,
 }
@@ -130,16 +122,8 @@ impl Evaluations {
             greedy: counts(evaluation, 0),
             sampled: counts(evaluation, 1),
         });
-        let blueprints = rows.iter().map(|&row| BlueprintView {
-            row,
-            group: usize::try_from(row.n_blocks).ok().and_then(|n| Group::of(row.split, n)).map(Group::name),
-        });
-        Overview {
-            schema_version: SCHEMA_VERSION,
-            blueprints: blueprints.collect(),
-            n_left_out: self.n_left_out,
-            evaluations: evaluations.collect(),
-        }
+        let evaluations = evaluations.collect();
+        Overview { schema_version: SCHEMA_VERSION, blueprints: rows, n_left_out: self.n_left_out, evaluations }
     }
 }
 
@@ -149,12 +133,11 @@ impl Kept {
         let mut by_group: BTreeMap<Group, Vec<[Option<Counts>; 2]>> = BTreeMap::new();
         for score in &evaluation.blueprints {
             let counts = [ActionMode::Greedy, ActionMode::Sampled].map(|acting| {
-                let success = outcome_of(score, acting)?.success;
+                let success = score.outcome(acting)?.success;
                 Some([success.n_successes, success.n_episodes])
             });
-            let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
-            rates.insert(row, counts);
-            if let Some(group) = group_of(score) {
+            rates.insert(Row::of(score), counts);
+            if let Some(group) = score.group() {
                 by_group.entry(group).or_default().push(counts);
             }
         }

@@ -1,10 +1,10 @@
-//! Selects evaluations of a history, and computes numbers by blueprint or group.
+//! Selects evaluations of a history, and computes numbers by blueprint.
 
 use std::collections::BTreeMap;
 
 use blueprints::{BlueprintId, Group, Split};
 use proto::ActionMode;
-use proto::metrics::{EvalBlueprint, EvalOutcome};
+use proto::metrics::EvalBlueprint;
 use proto::wilson::SuccessRate;
 use serde::Serialize;
 
@@ -19,17 +19,25 @@ pub struct Row {
     pub n_blocks: u64,
     /// The blueprint.
     pub id: BlueprintId,
+    /// Name of its group; `None` for a size outside the paper's groups.
+    pub group: Option<&'static str>,
 }
 
-/// Values by blueprint and environment steps of a run.
+impl Row {
+    /// Returns the row of an evaluated blueprint.
+    pub(crate) fn of(score: &EvalBlueprint) -> Self {
+        let group = score.group().map(Group::name);
+        Self { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone(), group }
+    }
+}
+
+/// Success rates by blueprint and environment steps of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grid {
-    /// The blueprints, sorted.
-    pub rows: Vec<Row>,
     /// Environment steps, increasing.
     pub steps: Vec<u64>,
-    /// For each row, a value for each step; `None` if not evaluated.
-    pub values: Vec<Vec<Option<f64>>>,
+    /// For each blueprint, a rate for each step; `None` if not evaluated.
+    pub rows: BTreeMap<Row, Vec<Option<SuccessRate>>>,
 }
 
 /// Returns the evaluations that led to the last one, with increasing environment steps.
@@ -53,27 +61,26 @@ pub(crate) fn push_newer<T>(kept: &mut Vec<T>, value: T, n_env_steps: impl Fn(&T
     kept.push(value);
 }
 
-/// Returns the outcome for one action mode; `None` if it was not evaluated.
-pub fn outcome_of(score: &EvalBlueprint, acting: ActionMode) -> Option<&EvalOutcome> {
-    let outcome = match acting {
-        ActionMode::Greedy => &score.greedy,
-        ActionMode::Sampled => &score.sampled,
-    };
-    (outcome.success.n_episodes > 0).then_some(outcome)
-}
-
-/// Returns the success rates of an evaluation by blueprint.
-fn rates(evaluation: &Evaluation, acting: ActionMode) -> BTreeMap<Row, SuccessRate> {
-    let rate = |score: &EvalBlueprint| {
-        let row = Row { split: score.split, n_blocks: score.n_blocks, id: score.blueprint.clone() };
-        Some((row, outcome_of(score, acting)?.success))
-    };
-    evaluation.blueprints.iter().filter_map(rate).collect()
-}
-
-/// Returns the group of a blueprint; `None` for a size outside the paper's groups.
-pub fn group_of(score: &EvalBlueprint) -> Option<Group> {
-    Group::of(score.split, usize::try_from(score.n_blocks).ok()?)
+impl Grid {
+    /// Builds a grid of evaluations with increasing steps; `None` if none used this action mode.
+    pub fn success(evaluations: &[&Evaluation], acting: ActionMode) -> Option<Self> {
+        let is_evaluated = |evaluation: &&&Evaluation| {
+            let mut scores = evaluation.blueprints.iter();
+            scores.any(|score| score.outcome(acting).is_some())
+        };
+        let evaluations: Vec<_> = evaluations.iter().filter(is_evaluated).collect();
+        let mut rows: BTreeMap<Row, Vec<Option<SuccessRate>>> = BTreeMap::new();
+        for (i, evaluation) in evaluations.iter().enumerate() {
+            for score in &evaluation.blueprints {
+                if let Some(outcome) = score.outcome(acting) {
+                    let rates = rows.entry(Row::of(score)).or_insert_with(|| vec![None; evaluations.len()]);
+                    rates[i] = Some(outcome.success);
+                }
+            }
+        }
+        let steps: Vec<u64> = evaluations.iter().map(|evaluation| evaluation.n_env_steps).collect();
+        (!steps.is_empty()).then_some(Self { steps, rows })
+    }
 }
 
 /// Success rates of several runs on the blueprints that all their evaluations share.
@@ -85,46 +92,17 @@ pub struct Common {
     pub of_runs: Vec<Vec<(u64, SuccessRate)>>,
 }
 
-/// Returns the success rates of runs, each with increasing steps, on their shared blueprints; `None` if they share
-/// none.
-pub fn common_rates<'r>(runs: impl Iterator<Item = &'r [&'r Evaluation]>, acting: ActionMode) -> Option<Common> {
-    let runs: Vec<Vec<Evaluated>> = runs.map(|evaluations| evaluated(evaluations, acting)).collect();
-    let mut evaluations = runs.iter().flatten();
-    let first = evaluations.next()?;
-    if runs.iter().any(Vec::is_empty) {
-        return None;
-    }
-    let mut common: Vec<&Row> = first.1.keys().collect();
-    evaluations.for_each(|(_, rates)| common.retain(|row| rates.contains_key(row)));
-    let total = |rates: &BTreeMap<Row, SuccessRate>| {
-        let of_common = common.iter().filter_map(|row| rates.get(row));
-        let (hits, all) = of_common.fold((0, 0), |(h, n), rate| (h + rate.n_successes, n + rate.n_episodes));
-        SuccessRate::new(hits, all)
+/// Returns the success rates of runs on their shared blueprints; `None` if they share none.
+pub fn common_rates(runs: &[Grid]) -> Option<Common> {
+    let is_whole = |run: &Grid, row| run.rows.get(row).is_some_and(|rates| rates.iter().all(Option::is_some));
+    let mut common: Vec<&Row> = runs.first()?.rows.keys().collect();
+    common.retain(|row| runs.iter().all(|run| is_whole(run, row)));
+    let of_run = |run: &Grid| {
+        let at = |i: usize| common.iter().filter_map(|row| run.rows.get(row)?[i]).sum();
+        run.steps.iter().enumerate().map(|(i, &steps)| (steps, at(i))).collect()
     };
-    let of_runs = runs.iter().map(|run| run.iter().map(|(steps, rates)| (*steps, total(rates))).collect()).collect();
+    let of_runs = runs.iter().map(of_run).collect();
     (!common.is_empty()).then_some(Common { n_blueprints: common.len(), of_runs })
-}
-
-impl Grid {
-    /// Builds a grid of the success rates of evaluations with increasing steps; `None` if none used this action mode.
-    pub fn success(evaluations: &[&Evaluation], acting: ActionMode) -> Option<Self> {
-        let columns = evaluated(evaluations, acting);
-        let mut rows: Vec<Row> = columns.iter().flat_map(|(_, rates)| rates.keys().cloned()).collect();
-        rows.sort();
-        rows.dedup();
-        let of_row = |row: &Row| columns.iter().map(|(_, rates)| Some(rates.get(row)?.rate)).collect();
-        let values = rows.iter().map(of_row).collect();
-        let steps: Vec<u64> = columns.iter().map(|(steps, _)| *steps).collect();
-        (!steps.is_empty()).then_some(Self { rows, steps, values })
-    }
-}
-
-type Evaluated = (u64, BTreeMap<Row, SuccessRate>);
-
-/// Returns steps and success rates of the evaluations with this action mode.
-fn evaluated(evaluations: &[&Evaluation], acting: ActionMode) -> Vec<Evaluated> {
-    let all = evaluations.iter().map(|evaluation| (evaluation.n_env_steps, rates(evaluation, acting)));
-    all.filter(|(_, rates)| !rates.is_empty()).collect()
 }
 
 #[cfg(test)]
@@ -164,24 +142,24 @@ mod tests {
     fn grid_rows_are_sorted_and_gaps_are_none() {
         let all = evaluations(&[(0, 0, None), (100, 10, Some(5))]);
         let grid = Grid::success(&lineage(&all), ActionMode::Greedy).unwrap();
-        assert_eq!(grid.rows.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["2_000", "10_000"]);
+        assert_eq!(grid.rows.keys().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["2_000", "10_000"]);
         assert_eq!(grid.steps, [0, 100]);
-        assert_eq!(grid.values, [vec![Some(0.0), Some(1.0)], vec![None, Some(0.5)]]);
+        let rates: Vec<Vec<_>> =
+            grid.rows.values().map(|row| row.iter().map(|cell| Some(cell.as_ref()?.rate)).collect()).collect();
+        assert_eq!(rates, [vec![Some(0.0), Some(1.0)], vec![None, Some(0.5)]]);
         assert_eq!(Grid::success(&lineage(&all), ActionMode::Sampled), None);
     }
 
     #[test]
     fn common_rates_use_the_shared_blueprints() {
-        let run = evaluations(&[(0, 0, None), (100, 6, Some(9))]);
-        let other = evaluations(&[(5, 1, Some(2)), (110, 2, Some(3))]);
-        let (run, other) = (lineage(&run), lineage(&other));
-        let found = common_rates([&run[..], &other[..]].into_iter(), ActionMode::Greedy).unwrap();
+        let grid = |all: &[Evaluation]| Grid::success(&lineage(all), ActionMode::Greedy).unwrap();
+        let run = grid(&evaluations(&[(0, 0, None), (100, 6, Some(9))]));
+        let other = grid(&evaluations(&[(5, 1, Some(2)), (110, 2, Some(3))]));
+        let found = common_rates(&[run.clone(), other]).unwrap();
         let rate = |n| SuccessRate::new(n, 10);
         assert_eq!(found.of_runs, [vec![(0, rate(0)), (100, rate(6))], vec![(5, rate(1)), (110, rate(2))]]);
         assert_eq!(found.n_blueprints, 1);
-        let strange = vec![evaluation(0, &[("3_000", Split::Train, 3, 0)])];
-        let strange = lineage(&strange);
-        assert_eq!(common_rates([&run[..], &strange[..]].into_iter(), ActionMode::Greedy), None);
-        assert_eq!(common_rates([&run[..], &[]].into_iter(), ActionMode::Greedy), None);
+        let strange = grid(&[evaluation(0, &[("3_000", Split::Train, 3, 0)])]);
+        assert_eq!(common_rates(&[run, strange]), None);
     }
 }

@@ -3,7 +3,6 @@
 use std::process::{Output, Stdio};
 
 use learner::{Checkpoint, Model, read_model};
-use runlog::series::outcome_of;
 use runlog::{Evaluation, History, RunPaths};
 use serde_json::json;
 
@@ -13,7 +12,7 @@ use crate::support::served::{Process, train};
 /// Success of an evaluation with the action mode that counts.
 fn n_successes(evaluation: &Evaluation) -> u64 {
     let acting = [proto::ActionMode::Sampled, proto::ActionMode::Greedy];
-    let of = |acting| evaluation.blueprints.iter().filter_map(move |score| outcome_of(score, acting));
+    let of = |acting| evaluation.blueprints.iter().filter_map(move |score| score.outcome(acting));
     let chosen = acting.into_iter().find(|&acting| of(acting).next().is_some()).unwrap();
     of(chosen).map(|outcome| outcome.success.n_successes).sum()
 }

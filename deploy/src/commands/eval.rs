@@ -75,7 +75,7 @@ pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &Cancell
     if args.json {
         json(&report, terminal)?;
     } else {
-        terminal.print(&render(&report, live::detail(args.verbose)));
+        terminal.print(&render(&report, args.verbose));
         if let Some(endings) = endings {
             terminal.print(&render_endings(&endings.into_sizes()));
         }

@@ -43,7 +43,7 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     files.push(("groups.md".to_owned(), tables::groups_markdown(&rows).into_bytes()));
     files.push(file("groups", tables::groups_csv(&rows)));
     if !args.beside.is_empty() {
-        files.push(comparison(&evaluations, acting, args, terminal)?);
+        files.push(comparison(&grid, acting, args, terminal)?);
     }
     let written = write(args, &files)?;
     if args.json {
@@ -111,20 +111,12 @@ fn summary(
     })
 }
 
-fn comparison(
-    evaluations: &[&Evaluation],
-    acting: ActionMode,
-    args: &ReportArgs,
-    terminal: &Terminal,
-) -> Result<File, Failure> {
-    let histories = args.beside.iter().map(|run| history(run)).collect::<Result<Vec<_>, _>>()?;
-    let mut lineages = vec![evaluations.to_vec()];
-    for (run, all) in args.beside.iter().zip(&histories) {
-        let shown = shown(all, run, terminal);
-        success(run, &shown, acting)?;
-        lineages.push(shown);
+fn comparison(of_run: &Grid, acting: ActionMode, args: &ReportArgs, terminal: &Terminal) -> Result<File, Failure> {
+    let mut grids = vec![of_run.clone()];
+    for run in &args.beside {
+        grids.push(success(run, &shown(&history(run)?, run, terminal), acting)?);
     }
-    let common = common_rates(lineages.iter().map(Vec::as_slice), acting).ok_or_else(|| {
+    let common = common_rates(&grids).ok_or_else(|| {
         Failure::NothingToShow(format!(
             "no blueprint was evaluated with {} actions in every evaluation of {} and the runs beside it: give --beside runs with \
              the same `evaluator.selection`",

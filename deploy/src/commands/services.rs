@@ -127,7 +127,7 @@ pub(super) async fn run_evaluator(
     let page =
         opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None, run: None });
     let (reports, evaluated) = watch::channel(None);
-    let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), live::detail(args.verbose)));
+    let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), args.verbose));
     let (progress, counted) = watch::channel(None);
     let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.clone(), || true));
     let listeners = Listeners { reports, progress, ..Listeners::default() };

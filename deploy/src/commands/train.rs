@@ -122,7 +122,7 @@ pub(super) async fn run(
     let learner_is_done = move || last_weights.borrow().is_some();
     let mut views = JoinSet::new();
     views.spawn(live::show_learning(updates, actors, evaluated.clone(), terminal.clone(), config.n_env_steps));
-    views.spawn(live::show_reports(evaluated.clone(), terminal.clone(), live::detail(args.verbose)));
+    views.spawn(live::show_reports(evaluated.clone(), terminal.clone(), args.verbose));
     views.spawn(live::show_episodes(counted, "evaluated", terminal.clone(), learner_is_done));
     let source: Box<dyn Source> = match config.lockstep {
         true => Box::new(InProcess::new(config, &goals.catalog)),

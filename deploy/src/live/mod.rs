@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use bus::AliveWatch;
 use dashboard::success_rate;
-use evaluator::{Detail, EvaluationProgress, render};
+use evaluator::{EvaluationProgress, render};
 use proto::metrics::{ActorMetrics, EvalReport, LearnerMetrics};
 use tokio::sync::watch;
 use tokio::time::Instant;
@@ -23,12 +23,6 @@ const LINE_PERIOD: Duration = Duration::from_secs(10);
 
 /// Evaluation reports as they arrive.
 pub type Reports = watch::Receiver<Option<Arc<EvalReport>>>;
-
-/// How much of a report is printed.
-pub fn detail(verbose: bool) -> Detail {
-    const N_WORST: usize = 5;
-    if verbose { Detail::Blueprints } else { Detail::Worst(N_WORST) }
-}
 
 /// Shows the metrics of this process's learner, which has `n_env_steps` to go through, until it ends. Without a
 /// terminal, prints at most one line every ten seconds.
@@ -104,9 +98,9 @@ pub async fn show_episodes(
 }
 
 /// Prints a table of each report until the evaluator ends.
-pub async fn show_reports(mut reports: Reports, terminal: Terminal, detail: Detail) {
+pub async fn show_reports(mut reports: Reports, terminal: Terminal, verbose: bool) {
     while reports.changed().await.is_ok() {
         let Some(report) = reports.borrow_and_update().clone() else { continue };
-        terminal.print(&format!("\n{}", render(&report, detail)));
+        terminal.print(&format!("\n{}", render(&report, verbose)));
     }
 }

@@ -78,10 +78,7 @@ pub(super) fn append(db: &mut Connection, evaluation: &Evaluation) -> Result<()>
             let key = params![score.blueprint.as_str(), score.split.as_str(), score.n_blocks];
             insert_blueprint.execute(key)?;
             let blueprint_id: i64 = select_blueprint.query_row(key, |row| row.get(0))?;
-            for (acting, outcome) in [(ActionMode::Greedy, &score.greedy), (ActionMode::Sampled, &score.sampled)] {
-                if outcome.success.n_episodes == 0 {
-                    continue;
-                }
+            for (acting, outcome) in score.outcomes() {
                 let key: [&dyn ToSql; 3] = [&pass_id, &blueprint_id, &stored(acting)];
                 insert_outcome.execute(params_from_iter(key.into_iter().chain(columns(outcome))))?;
             }
@@ -94,16 +91,12 @@ pub(super) fn append(db: &mut Connection, evaluation: &Evaluation) -> Result<()>
 }
 
 fn append_reset_free(db: &Connection, pass_id: i64, reset_free: &EvalResetFree) -> Result<()> {
-    for (acting, runs) in [(ActionMode::Greedy, &reset_free.greedy), (ActionMode::Sampled, &reset_free.sampled)] {
-        let outcome = &runs.outcome;
-        if outcome.success.n_episodes == 0 {
-            continue;
-        }
+    for (acting, runs) in reset_free.outcomes() {
         let by_goal = serde_json::to_string(&runs.n_successes_by_goal)
             .map_err(|error| Error::ToSqlConversionFailure(error.into()))?;
         let before: [&dyn ToSql; 4] = [&pass_id, &stored(acting), &reset_free.n_runs, &reset_free.n_goals];
         let after: [&dyn ToSql; 3] = [&by_goal, &runs.run_rate_std, &runs.n_forced_resets];
-        db.execute(INSERT_RUNS, params_from_iter(before.into_iter().chain(columns(outcome)).chain(after)))?;
+        db.execute(INSERT_RUNS, params_from_iter(before.into_iter().chain(columns(&runs.outcome)).chain(after)))?;
     }
     Ok(())
 }

@@ -3,10 +3,10 @@
 
 use blueprints::Group;
 use proto::ActionMode;
-use proto::metrics::EvalOutcome;
+use proto::metrics::{EvalOutcome, EvalRuns};
 use proto::wilson::SuccessRate;
 use runlog::Evaluation;
-use runlog::series::{Common, Grid, group_of, outcome_of};
+use runlog::series::{Common, Grid};
 use serde::Serialize;
 
 /// Results of a group with one action mode.
@@ -33,18 +33,15 @@ pub(super) fn groups(evaluation: &Evaluation) -> Vec<GroupRow> {
     let mut rows = Vec::new();
     for group in Group::ALL.map(Some).into_iter().chain([None]) {
         for acting in [ActionMode::Greedy, ActionMode::Sampled] {
-            let members = evaluation.blueprints.iter().filter(|score| group.is_none() || group_of(score) == group);
-            let outcomes: Vec<&EvalOutcome> = members.filter_map(|score| outcome_of(score, acting)).collect();
+            let members = evaluation.blueprints.iter().filter(|score| group.is_none() || score.group() == group);
+            let outcomes: Vec<&EvalOutcome> = members.filter_map(|score| score.outcome(acting)).collect();
             rows.extend(group_row(group.map_or("all", Group::name), acting, outcomes.len(), &outcomes));
         }
     }
     if let Some(runs) = &evaluation.reset_free {
         let n_goals = usize::try_from(runs.n_goals).unwrap_or(usize::MAX);
-        for (acting, runs) in [(ActionMode::Greedy, &runs.greedy), (ActionMode::Sampled, &runs.sampled)] {
-            if runs.outcome.success.n_episodes > 0 {
-                rows.extend(group_row("reset-free", acting, n_goals, &[&runs.outcome]));
-            }
-        }
+        let row = |(acting, runs): (_, &EvalRuns)| group_row("reset-free", acting, n_goals, &[&runs.outcome]);
+        rows.extend(runs.outcomes().filter_map(row));
     }
     rows
 }
@@ -95,10 +92,10 @@ pub(super) fn groups_csv(rows: &[GroupRow]) -> String {
 pub(super) fn grid(grid: &Grid) -> String {
     let steps = grid.steps.iter().map(u64::to_string);
     let header = ["split", "n_blocks", "blueprint"].map(str::to_owned).into_iter().chain(steps);
-    let rows = grid.rows.iter().zip(&grid.values).map(|(row, values)| {
+    let rows = grid.rows.iter().map(|(row, rates)| {
         let names = [row.split.to_string(), row.n_blocks.to_string(), row.id.to_string()];
-        let values = values.iter().map(|value| value.map(|value| value.to_string()).unwrap_or_default());
-        names.into_iter().chain(values).collect::<Vec<_>>()
+        let rates = rates.iter().map(|rate| rate.map(|success| success.rate.to_string()).unwrap_or_default());
+        names.into_iter().chain(rates).collect::<Vec<_>>()
     });
     csv(std::iter::once(header.collect()).chain(rows))
 }
@@ -122,9 +119,8 @@ pub(super) fn comparison(runs: &[String], common: &Common) -> String {
 }
 
 fn group_row(name: &str, acting: ActionMode, n_blueprints: usize, outcomes: &[&EvalOutcome]) -> Option<GroupRow> {
-    let sum = |count: fn(&EvalOutcome) -> u64| outcomes.iter().map(|outcome| count(outcome)).sum::<u64>();
-    let n_episodes = sum(|outcome| outcome.success.n_episodes);
-    let n_successes = sum(|outcome| outcome.success.n_successes);
+    let success: SuccessRate = outcomes.iter().map(|outcome| outcome.success).sum();
+    let SuccessRate { n_successes, n_episodes, .. } = success;
     let steps =
         outcomes.iter().filter_map(|outcome| Some(outcome.mean_steps_to_success? * outcome.success.n_successes as f64));
     let returns =
@@ -133,11 +129,11 @@ fn group_row(name: &str, acting: ActionMode, n_blueprints: usize, outcomes: &[&E
         name: name.to_owned(),
         n_blueprints,
         acting,
-        success: SuccessRate::new(n_successes, n_episodes),
-        stable_success: SuccessRate::new(sum(|outcome| outcome.stable_success.n_successes), n_episodes),
+        success,
+        stable_success: outcomes.iter().map(|outcome| outcome.stable_success).sum(),
         mean_steps_to_success: (n_successes > 0).then(|| steps.sum::<f64>() / n_successes as f64),
         mean_return: returns.sum::<f64>() / n_episodes as f64,
-        n_diverged: sum(|outcome| outcome.n_diverged),
+        n_diverged: outcomes.iter().map(|outcome| outcome.n_diverged).sum(),
     })
 }
 

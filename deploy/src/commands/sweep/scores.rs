@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use blueprints::Group;
 use proto::ActionMode;
-use runlog::series::{group_of, lineage, outcome_of};
+use runlog::series::lineage;
 use runlog::{Evaluation, History, HistoryError, RunPaths};
 use serde::{Deserialize, Serialize};
 
@@ -42,18 +42,14 @@ pub(super) fn scores(evaluation: &Evaluation) -> Vec<Score> {
     let mut scores = Vec::new();
     for acting in [ActionMode::Greedy, ActionMode::Sampled] {
         for score in &evaluation.blueprints {
-            if let (Some(group), Some(outcome)) = (group_of(score), outcome_of(score, acting)) {
+            if let (Some(group), Some(outcome)) = (score.group(), score.outcome(acting)) {
                 let group = group.name().to_owned();
                 let goal = score.blueprint.to_string();
                 scores.push(Score { group, goal, acting, rate: outcome.success.rate });
             }
         }
     }
-    let runs = evaluation
-        .reset_free
-        .iter()
-        .flat_map(|runs| [(ActionMode::Greedy, &runs.greedy), (ActionMode::Sampled, &runs.sampled)]);
-    for (acting, runs) in runs.filter(|(_, runs)| runs.outcome.success.n_episodes > 0) {
+    for (acting, runs) in evaluation.reset_free.iter().flat_map(|runs| runs.outcomes()) {
         let rate = runs.outcome.success.rate;
         scores.push(Score { group: RESET_FREE.to_owned(), goal: RESET_FREE.to_owned(), acting, rate });
     }
