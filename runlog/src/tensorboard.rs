@@ -2,7 +2,7 @@
 //!
 //! A file is a sequence of records (length, checksum, data, checksum), each an `Event` message in protobuf; see
 //! `tensorflow/core/lib/io/record_writer.h` and `tensorflow/core/util/event.proto` upstream. Only the parts of the
-//! message for scalars, texts, and hyperparameters are defined here.
+//! message for scalars and hyperparameters are defined here.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -48,20 +48,8 @@ struct Tagged {
     /// Optional: a plain 0 would not be written, and readers would find no value.
     #[prost(float, optional, tag = "2")]
     simple_value: Option<f32>,
-    #[prost(message, optional, tag = "8")]
-    tensor: Option<Tensor>,
     #[prost(message, optional, tag = "9")]
     metadata: Option<Metadata>,
-}
-
-/// A tensor of strings without dimensions.
-#[derive(Clone, PartialEq, Message)]
-struct Tensor {
-    /// [`STRINGS`].
-    #[prost(int32, tag = "1")]
-    dtype: i32,
-    #[prost(bytes = "vec", repeated, tag = "8")]
-    strings: Vec<Vec<u8>>,
 }
 
 /// The TensorBoard plugin that shows a value.
@@ -118,9 +106,6 @@ const SESSION_START: i32 = 1;
 /// Beginning of the name of every event file, which readers require.
 const PREFIX: &str = "events.out.tfevents.";
 
-/// `DT_STRING` of `tensorflow/core/framework/types.proto`.
-const STRINGS: i32 = 7;
-
 /// Appends to one event file.
 #[derive(Debug)]
 pub struct EventWriter {
@@ -164,16 +149,6 @@ impl EventWriter {
     pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
         let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), ..Tagged::default() };
         self.summary(step, scalars.into_iter().map(number).collect())
-    }
-
-    /// Appends a text in Markdown at `step`.
-    ///
-    /// # Errors
-    /// If writing fails.
-    pub fn text(&mut self, step: u64, tag: &str, text: &str) -> io::Result<()> {
-        let metadata = Some(Metadata { plugin: Some(Plugin { name: "text".to_owned(), content: Vec::new() }) });
-        let tensor = Some(Tensor { dtype: STRINGS, strings: vec![text.as_bytes().to_vec()] });
-        self.summary(step, vec![Tagged { tag: tag.to_owned(), tensor, metadata, ..Tagged::default() }])
     }
 
     /// Sets the run's row in TensorBoard's table of hyperparameters: every setting under its path, such as
@@ -346,7 +321,6 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut writer = EventWriter::create(&dir.path().join("learner")).unwrap();
         writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
-        writer.text(0, "settings", "seed = 1").unwrap();
         let settings =
             json!({ "seed": 1, "learner": { "gamma": 0.99, "adapt": true, "points": [[0, 0.5]] }, "device": "cpu" });
         writer.hyperparameters(&settings).unwrap();
@@ -354,17 +328,13 @@ mod tests {
         assert_eq!(path, writer.path());
         assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
         let events = events(&path);
-        assert_eq!(events.len(), 4);
+        assert_eq!(events.len(), 3);
         assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
         assert_eq!(events[1].step, 4096);
         let values = |at: usize| &events[at].summary.as_ref().unwrap().values[..];
-        let tagged = |tag: &str| Tagged { tag: tag.to_owned(), ..Tagged::default() };
-        let scalar = |tag, value| Tagged { simple_value: Some(value), ..tagged(tag) };
+        let scalar = |tag: &str, value| Tagged { tag: tag.to_owned(), simple_value: Some(value), ..Tagged::default() };
         assert_eq!(values(1), [scalar("ppo/entropy", 1.5), scalar("learner/n_updates", 0.0)]);
-        let tensor = Some(Tensor { dtype: 7, strings: vec![b"seed = 1".to_vec()] });
-        let metadata = Some(Metadata { plugin: Some(Plugin { name: "text".to_owned(), content: Vec::new() }) });
-        assert_eq!(values(2), [Tagged { tensor, metadata, ..tagged("settings") }]);
-        let row = &values(3)[0];
+        let row = &values(2)[0];
         let plugin = row.metadata.as_ref().unwrap().plugin.as_ref().unwrap();
         assert_eq!((row.tag.as_str(), plugin.name.as_str()), ("_hparams_/session_start_info", "hparams"));
         let session = Hyperparameters::decode(&plugin.content[..]).unwrap().session.unwrap();
