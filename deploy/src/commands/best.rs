@@ -1,20 +1,19 @@
 //! What an evaluator keeps of a run's weights: the best policy, `checkpoints/best/`, chosen by its verdict, and
 //! snapshots, `snapshots/`, which show how the run learned.
 
-use proto::{Valid, Weights};
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
 use evaluator::{PolicyConfig, Scored, Verdict};
 use learner::{Model, read_model};
+use proto::{Valid, Weights};
 use runlog::RunPaths;
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 
-use crate::replace::{PLAIN, replace};
+use super::files::write_file;
 
 /// Until an evaluator ends, keeps the best of the weights that it judges, and snapshots of those and of the `newest` ones,
 /// spread over a run of `n_env_steps` environment steps.
@@ -142,7 +141,7 @@ impl Keeper {
     fn write_snapshot(&self, weights: &Weights) -> anyhow::Result<()> {
         let bytes = Model::new(&self.policy, weights).to_bytes()?;
         let most = (MAX_SNAPSHOT_BYTES / bytes.len()).clamp(2, MAX_SNAPSHOTS);
-        write(&self.paths.snapshot(weights.n_env_steps), &bytes)?;
+        write_file(&self.paths.snapshot(weights.n_env_steps), &bytes)?;
         let mut kept: Vec<_> = self.paths.snapshots().into_iter().collect();
         while kept.len() > most {
             let rank = |i: &usize| (self.evaluated.contains(&kept[*i].0), kept[i + 1].0 - kept[i - 1].0);
@@ -157,20 +156,16 @@ impl Keeper {
         let mut model = Model::new(&self.policy, weights);
         model.verdict = Some(serde_json::to_value(verdict)?);
         let path = self.paths.best();
-        write(&path, &model.to_bytes()?)?;
+        write_file(&path, &model.to_bytes()?)?;
         tracing::info!(path = %path.display(), n_env_steps = weights.n_env_steps, "the best so far: {verdict}");
         Ok(())
     }
 }
 
-/// Replaces a file, in a folder that need not exist yet.
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let written = fs::create_dir_all(path.with_file_name("")).and_then(|()| replace(path, bytes, PLAIN));
-    written.with_context(|| format!("writing {}", path.display()))
-}
-
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use proto::wilson::SuccessRate;
     use proto::{ActionMode, WeightsVersion};
 

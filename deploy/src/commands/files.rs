@@ -17,14 +17,15 @@ const MAX_JSON_BYTES: u64 = 256 << 20;
 /// Name and content of a file.
 pub(super) type File = (String, Vec<u8>);
 
-/// Writes files to a folder, which is created if it does not exist. No reader sees a partial file.
-pub(super) fn write_files(folder: &Path, files: &[(impl AsRef<Path>, Vec<u8>)]) -> anyhow::Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
-    for (name, bytes) in files {
-        let path = folder.join(name);
-        replace(&path, bytes, PLAIN).with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(())
+/// Writes files to a folder like [`write_file`].
+pub(super) fn write_files(folder: &Path, files: &[File]) -> anyhow::Result<()> {
+    files.iter().try_for_each(|(name, bytes)| write_file(&folder.join(name), bytes))
+}
+
+/// Writes a file to a folder, which is created if it does not exist. No reader sees a partial file.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let written = fs::create_dir_all(path.with_file_name("")).and_then(|()| replace(path, bytes, PLAIN));
+    written.with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Reads a JSON file of a run or a sweep.

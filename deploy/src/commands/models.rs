@@ -8,7 +8,7 @@ use learner::{Checkpoint, CheckpointError, Model, read_model};
 use proto::Valid;
 
 use super::best;
-use super::files::write_files;
+use super::files::write_file;
 use crate::cli::ExportArgs;
 use crate::config::{Base, Config, Override, Preset, merge, read};
 use crate::exit::Failure;
@@ -133,15 +133,13 @@ pub(super) fn export(args: &ExportArgs, terminal: &Terminal) -> Result<(), Failu
         return Err(Failure::Input(format!("{} is there already; choose another --out", args.out.display())));
     }
     let bytes = model.to_bytes().map_err(|error| Failure::Checkpoint(error.into()))?;
-    let n_bytes = bytes.len();
     let n_steps = model.weights.n_env_steps;
-    let name = args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
-    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    write_files(folder, &[(name, bytes)])?;
+    args.out.file_name().ok_or_else(|| Failure::Usage("--out names no file".to_owned()))?;
+    write_file(&args.out, &bytes)?;
     terminal.print(&format!(
         "{}: {} kB, after {n_steps} environment steps",
         args.out.display(),
-        n_bytes.div_ceil(1000)
+        bytes.len().div_ceil(1000)
     ));
     Ok(())
 }

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::common::n_threads;
-use super::files::write_files;
+use super::files::write_file;
 use super::goals::{Goals, is_path};
 use super::models::Source;
 use crate::cli::RecordArgs;
@@ -119,7 +119,7 @@ impl Recording<'_> {
     /// Names the file by the episode's place in the plan: episodes do not end in that order.
     fn write(&mut self, idx: usize, trajectory: &Trajectory) -> anyhow::Result<()> {
         let name = format!("{idx:05}-{}.trajectory", trajectory.task.blueprint);
-        write_files(self.folder, &[(name, encode_recording(trajectory))])?;
+        write_file(&self.folder.join(name), &encode_recording(trajectory))?;
         self.n_files += 1;
         Ok(())
     }

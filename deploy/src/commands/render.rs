@@ -9,7 +9,7 @@ use evaluator::Policy;
 use render::picture::encode;
 use render::video::{AttentionVideo, Episode, EpisodeAttention, Video, attention_strip, gif, mp4, strip};
 
-use super::files::write_files;
+use super::files::write_file;
 use super::models::Source;
 use crate::cli::{RenderArgs, VideoFormat};
 use crate::exit::Failure;
@@ -55,12 +55,12 @@ fn make_all(
         let making = || format!("making a video of {}", name.display());
         let attention = policy.map(|policy| attention(policy, name, episode)).transpose()?;
         let (ending, bytes) = make(episode, attention.as_ref(), args).with_context(making)?;
-        let n_bytes = bytes.len();
         let mut name = name.clone();
         name.push(format!("{}.{ending}", if policy.is_some() { "-attention" } else { "" }));
-        let path = args.out.join(&name);
-        write_files(&args.out, &[(name, bytes)])?;
-        terminal.print(&format!("{}: {} steps, {} kB", path.display(), episode.n_steps(), n_bytes.div_ceil(1000)));
+        let path = args.out.join(name);
+        write_file(&path, &bytes)?;
+        let n_kb = bytes.len().div_ceil(1000);
+        terminal.print(&format!("{}: {} steps, {n_kb} kB", path.display(), episode.n_steps()));
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use render::video::{Episode, EpisodeAttention, Shares};
 
 use super::recordings::Named;
 use crate::cli::RenderArgs;
-use crate::commands::files::write_files;
+use crate::commands::files::write_file;
 use crate::exit::Failure;
 use crate::live::Terminal;
 
@@ -50,7 +50,7 @@ pub(super) fn write(
         let [planned, joined, held] = [planned, joined, held].map(|share| 100.0 * share);
         table += &format!("\n{layer:<8}{head:<6}{planned:>7.1} %{joined:>9.1} %{held:>6.1} %");
     }
-    write_files(&args.out, &[(FILE.to_owned(), csv.into_bytes())])?;
+    write_file(&args.out.join(FILE), csv.as_bytes())?;
     terminal.print(&table);
     terminal.print(&format!(
         "{}: {} files, {n_scenes} scenes; shares of the attention of the goal's blocks",

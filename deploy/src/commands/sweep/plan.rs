@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::axes::{self, Axis};
 use crate::cli::{ConfigArgs, SweepArgs};
-use crate::commands::files::{read_json, write_files};
+use crate::commands::files::{read_json, write_file};
 use crate::commands::services;
 use crate::config::{Config, ConfigError, MAX_SEED, Override};
 use crate::exit::Failure;
@@ -104,14 +104,13 @@ impl Plan {
         if folder.join(FILE).exists() {
             return Self::read(folder)?.check_same(self, folder);
         }
-        let unwritable = |error: anyhow::Error| Failure::Checkpoint(error);
         let bytes = serde_json::to_vec_pretty(self).map_err(anyhow::Error::from)?;
         for (i, point) in self.points.iter().enumerate() {
-            let config = ("config.toml", point.config.clone().into_bytes());
-            write_files(&folder.join(folder_of(i)), &[config]).map_err(unwritable)?;
+            let path = folder.join(folder_of(i)).join("config.toml");
+            write_file(&path, point.config.as_bytes()).map_err(Failure::Checkpoint)?;
         }
         // Last, so that a folder with a plan has all that the plan speaks of.
-        write_files(folder, &[(FILE, bytes)]).map_err(unwritable)
+        write_file(&folder.join(FILE), &bytes).map_err(Failure::Checkpoint)
     }
 
     /// Checks that `other` has the same points and seeds.

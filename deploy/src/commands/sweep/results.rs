@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use blueprints::outside;
 use proto::ActionMode;
 use runlog::series::lineage;
@@ -11,10 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::{Plan, Run};
 use super::scores::{GroupResult, Moment, Score, curve, groups, scores};
-use crate::commands::files::read_json;
+use crate::commands::files::{read_json, write_file};
 use crate::commands::names::name;
 use crate::exit::Failure;
-use crate::replace::{PLAIN, replace};
 
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -73,8 +71,7 @@ impl RunResult {
 
     /// Writes how a run ended.
     pub(super) fn keep(&self, run: &Run) -> anyhow::Result<()> {
-        let path = run.result();
-        replace(&path, &serde_json::to_vec_pretty(self)?, PLAIN).with_context(|| format!("writing {}", path.display()))
+        write_file(&run.result(), &serde_json::to_vec_pretty(self)?)
     }
 
     /// The scores of a run's last evaluation; `None` if it does not have all of its steps, or they are not evaluated.

@@ -127,7 +127,6 @@ mod tests {
         let keep = |point: usize, seed: u64, result: RunResult| {
             let runs = plan.runs(folder.path());
             let run = runs.iter().find(|run| (run.point, run.seed) == (point, seed)).unwrap();
-            std::fs::create_dir_all(run.folder.parent().unwrap()).unwrap();
             result.keep(run).unwrap();
             assert_eq!(RunResult::read(run).unwrap(), Some(result));
         };
