@@ -6,7 +6,7 @@ use blueprints::{Blueprint, Catalog};
 use nalgebra::Vector3;
 use parking_lot::Mutex;
 use policy::proposals::Slot;
-use proto::{Joint, Scene, Trajectory};
+use proto::{ActionMode, Joint, Scene, Trajectory};
 
 use crate::report::{End, EpisodeResult};
 
@@ -19,7 +19,7 @@ const STUCK_STEPS: usize = 30;
 
 /// How an episode ended. Of several that apply, the first counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Ending {
+enum Ending {
     /// The goal was built.
     Built,
     /// The physics diverged.
@@ -37,35 +37,52 @@ pub enum Ending {
 }
 
 /// How the episodes with goals of one size ended.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SizeEndings {
-    /// Number of episodes by ending.
-    pub endings: BTreeMap<Ending, u64>,
-    /// Number of wrong connections that formed.
-    pub n_wrong: u64,
-    /// Number of correct connections that broke.
-    pub n_broken: u64,
-    /// Number of correct connections missing at the ends.
-    pub n_missing: u64,
-    /// Number of draws by kind of proposal; empty for another policy head.
-    pub draws: BTreeMap<String, u64>,
-}
-
-impl SizeEndings {
-    /// Returns the number of episodes.
-    pub fn n_episodes(&self) -> u64 {
-        self.endings.values().sum()
-    }
-}
-
-/// Collects the endings of episodes, by action mode and size.
 #[derive(Debug, Default)]
-pub struct Endings(Mutex<BTreeMap<(&'static str, usize), SizeEndings>>);
+struct SizeEndings {
+    /// Number of episodes by ending.
+    endings: BTreeMap<Ending, u64>,
+    /// Number of wrong connections that formed.
+    n_wrong: u64,
+    /// Number of correct connections that broke.
+    n_broken: u64,
+    /// Number of correct connections missing at the ends.
+    n_missing: u64,
+    /// Number of draws by kind of proposal; empty for another policy head.
+    draws: BTreeMap<String, u64>,
+}
+
+/// Collects the endings of episodes, by action mode and number of blocks.
+#[derive(Debug, Default)]
+pub struct Endings(Mutex<BTreeMap<(ActionMode, usize), SizeEndings>>);
 
 impl Endings {
-    /// Returns what was collected, by action mode (`greedy` or `sampled`) and number of blocks.
-    pub fn into_sizes(self) -> BTreeMap<(&'static str, usize), SizeEndings> {
-        self.0.into_inner()
+    /// Formats what was collected as lines, each ending with a line break: the share of each ending in percent; wrong
+    /// connections, broken ones, and missing ones at the end, per episode; and the shares of draws by kind of proposal,
+    /// in percent.
+    pub fn table(&self) -> String {
+        let mut text = format!(
+            "{:<7} {:>6} {:>6} {:>6} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5}  draws, %\n",
+            "actions", "blocks", "of", "built", "still", "wrong", "misp.", "stuck", "time", "div.", "w/b/m"
+        );
+        for ((acting, n_blocks), size) in &*self.0.lock() {
+            let acting = acting.name();
+            let n = size.endings.values().sum::<u64>().max(1) as f64;
+            let share = |ending: Ending| 100.0 * size.endings.get(&ending).copied().unwrap_or(0) as f64 / n;
+            let shares = [Ending::Built, Ending::Still, Ending::Wrong, Ending::Misplaced, Ending::Stuck, Ending::Time];
+            let shares = shares.map(|ending| format!("{:>5.1}", share(ending))).join(" ");
+            let n_draws = size.draws.values().sum::<u64>().max(1) as f64;
+            let draw = |(kind, &n): (&String, &u64)| format!("{kind} {:.0}", 100.0 * n as f64 / n_draws);
+            let draws: Vec<String> = size.draws.iter().map(draw).collect();
+            text += &format!(
+                "{acting:<7} {n_blocks:>6} {n:>6}  {shares} {:>5.1} {:.1}/{:.1}/{:.1}  {}\n",
+                share(Ending::Diverged),
+                size.n_wrong as f64 / n,
+                size.n_broken as f64 / n,
+                size.n_missing as f64 / n,
+                draws.join(" ")
+            );
+        }
+        text
     }
 
     /// Counts an episode of a goal of the catalog.
@@ -88,7 +105,7 @@ impl Endings {
             End::TimeLimit => Ending::Time,
         };
         let mut sizes = self.0.lock();
-        let size = sizes.entry((result.acting.name(), result.n_blocks)).or_default();
+        let size = sizes.entry((result.acting, result.n_blocks)).or_default();
         *size.endings.entry(ending).or_default() += 1;
         size.n_missing += n_missing;
         for [before, after] in scenes.array_windows() {

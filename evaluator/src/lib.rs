@@ -2,7 +2,7 @@
 //! uncertainty.
 //!
 //! Reading order: [`config`] → [`report`] (what is counted) → `sequences` (batched worlds) → `pool` (threads) →
-//! [`episodes`] and `reset_free` (what is run) → [`endings`] (how episodes end) → [`table`] (what is printed) →
+//! [`episodes`] and `reset_free` (what is run) → `endings` (how episodes end) → [`table`] (what is printed) →
 //! [`best`] (which weights are the best of a run) → [`run()`] (the service on the bus). `videos` records videos in
 //! every evaluation, [`perform`] plays one episode for display, and [`record()`] records many.
 
@@ -10,7 +10,7 @@
 
 pub mod best;
 pub mod config;
-pub mod endings;
+mod endings;
 pub mod episodes;
 mod nice;
 mod performance;
@@ -32,7 +32,7 @@ pub use best::{Scored, Verdict};
 pub use config::{
     EpisodeConfig, EvaluatorConfig, EvaluatorConfigError, Every, ResetFreeConfig, Selection, Starts, VideosConfig,
 };
-pub use endings::{Ending, Endings, SizeEndings};
+pub use endings::Endings;
 pub use environment::EnvironmentConfig;
 pub use episodes::{Follower, evaluate};
 pub use performance::{Performance, Performer, perform};
@@ -41,4 +41,4 @@ pub use pool::EvaluationProgress;
 pub use record::record;
 pub use run::{Listeners, Stop, run};
 pub use setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
-pub use table::{render, render_endings};
+pub use table::render;

@@ -1,11 +1,7 @@
 //! Formats a report as plain text for a terminal.
 
-use std::collections::BTreeMap;
-
 use proto::ActionMode;
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport};
-
-use crate::endings::{Ending, SizeEndings};
 
 /// Minimum width of the name column.
 const NAME_WIDTH: usize = 24;
@@ -101,34 +97,6 @@ fn row(name: &str, acting: ActionMode, outcome: &EvalOutcome) -> Row {
     let columns =
         format!("{acting:<7} {n_episodes:>6} {rate:>5.1} {interval:>11} {stable:>6.1} {steps:>5} {mean_return:>6.2}");
     (name.to_owned(), columns)
-}
-
-/// Formats how episodes ended as lines, each ending with a line break: the share of each [ending](Ending) in percent;
-/// wrong connections, broken ones, and missing ones at the end, per episode; and the shares of draws by kind of
-/// proposal, in percent.
-pub fn render_endings(sizes: &BTreeMap<(&str, usize), SizeEndings>) -> String {
-    let mut text = format!(
-        "{:<7} {:>6} {:>6} {:>6} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5} {:>5}  draws, %\n",
-        "actions", "blocks", "of", "built", "still", "wrong", "misp.", "stuck", "time", "div.", "w/b/m"
-    );
-    for ((acting, n_blocks), size) in sizes {
-        let n = size.n_episodes().max(1) as f64;
-        let share = |ending: Ending| 100.0 * size.endings.get(&ending).copied().unwrap_or(0) as f64 / n;
-        let shares = [Ending::Built, Ending::Still, Ending::Wrong, Ending::Misplaced, Ending::Stuck, Ending::Time];
-        let shares = shares.map(|ending| format!("{:>5.1}", share(ending))).join(" ");
-        let n_draws = size.draws.values().sum::<u64>().max(1) as f64;
-        let draw = |(kind, &n): (&String, &u64)| format!("{kind} {:.0}", 100.0 * n as f64 / n_draws);
-        let draws: Vec<String> = size.draws.iter().map(draw).collect();
-        text += &format!(
-            "{acting:<7} {n_blocks:>6} {n:>6}  {shares} {:>5.1} {:.1}/{:.1}/{:.1}  {}\n",
-            share(Ending::Diverged),
-            size.n_wrong as f64 / n,
-            size.n_broken as f64 / n,
-            size.n_missing as f64 / n,
-            draws.join(" ")
-        );
-    }
-    text
 }
 
 #[cfg(test)]

@@ -108,8 +108,7 @@ const PREFIX: &str = "events.out.tfevents.";
 
 /// Appends to one event file.
 #[derive(Debug)]
-pub struct EventWriter {
-    path: PathBuf,
+pub(crate) struct EventWriter {
     /// Open for appending, so that a write follows what is left after a cut record is removed.
     file: File,
     /// Length of the whole records.
@@ -120,43 +119,31 @@ pub struct EventWriter {
 
 impl EventWriter {
     /// Creates a new file in `folder`, which is created if needed.
-    ///
-    /// # Errors
-    /// If the file cannot be created.
-    pub fn create(folder: &Path) -> io::Result<Self> {
+    pub(crate) fn create(folder: &Path) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let path = folder.join(next_name(&event_files(folder)?, since_1970()));
         let file = File::options().append(true).create_new(true).open(&path)?;
-        let mut writer = Self { path, file, n_bytes: 0, is_cut: false };
+        let mut writer = Self { file, n_bytes: 0, is_cut: false };
         let file_version = Some("brain.Event:2".to_owned());
         writer.append(Event { file_version, ..Event::default() })?;
         Ok(writer)
     }
 
     /// Tells readers to forget what earlier files of the folder have at `step` or later.
-    ///
-    /// # Errors
-    /// If writing fails.
-    pub fn restart(&mut self, step: u64) -> io::Result<()> {
+    pub(crate) fn restart(&mut self, step: u64) -> io::Result<()> {
         let session_log = Some(SessionLog { status: SESSION_START });
         self.append(Event { step: signed(step), session_log, ..Event::default() })
     }
 
     /// Appends scalars by tag at `step`, in one write.
-    ///
-    /// # Errors
-    /// If writing fails.
-    pub fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
+    pub(crate) fn scalars(&mut self, step: u64, scalars: impl IntoIterator<Item = (String, f64)>) -> io::Result<()> {
         let number = |(tag, value)| Tagged { tag, simple_value: Some(value as f32), ..Tagged::default() };
         self.summary(step, scalars.into_iter().map(number).collect())
     }
 
     /// Sets the run's row in TensorBoard's table of hyperparameters: every setting under its path, such as
     /// `learner.gamma`. Lists are shown as JSON.
-    ///
-    /// # Errors
-    /// If writing fails.
-    pub fn hyperparameters(&mut self, settings: &Value) -> io::Result<()> {
+    pub(crate) fn hyperparameters(&mut self, settings: &Value) -> io::Result<()> {
         let mut by_name = BTreeMap::new();
         collect("", settings, &mut by_name);
         let session = Some(SessionStart { by_name, start_time: since_1970() });
@@ -165,11 +152,6 @@ impl EventWriter {
         // TensorBoard finds them by this tag.
         let tag = "_hparams_/session_start_info".to_owned();
         self.summary(0, vec![Tagged { tag, metadata, ..Tagged::default() }])
-    }
-
-    /// Returns the path of the file.
-    pub fn path(&self) -> &Path {
-        &self.path
     }
 
     fn summary(&mut self, step: u64, values: Vec<Tagged>) -> io::Result<()> {
@@ -292,9 +274,14 @@ mod tests {
 
     use super::*;
 
+    /// The bytes of the only file in a folder.
+    fn written(folder: &Path) -> Vec<u8> {
+        fs::read(&event_files(folder).unwrap()[0]).unwrap()
+    }
+
     /// The events of a file that consists of whole records.
-    fn events(path: &Path) -> Vec<Event> {
-        let bytes = fs::read(path).unwrap();
+    fn events(folder: &Path) -> Vec<Event> {
+        let bytes = written(folder);
         let mut rest = &bytes[..];
         let mut events = Vec::new();
         while !rest.is_empty() {
@@ -319,15 +306,15 @@ mod tests {
     #[test]
     fn event_file_has_version_scalars_and_settings() {
         let dir = tempfile::tempdir().unwrap();
-        let mut writer = EventWriter::create(&dir.path().join("learner")).unwrap();
+        let folder = dir.path().join("learner");
+        let mut writer = EventWriter::create(&folder).unwrap();
         writer.scalars(4096, [("ppo/entropy".to_owned(), 1.5), ("learner/n_updates".to_owned(), 0.0)]).unwrap();
         let settings =
             json!({ "seed": 1, "learner": { "gamma": 0.99, "adapt": true, "points": [[0, 0.5]] }, "device": "cpu" });
         writer.hyperparameters(&settings).unwrap();
-        let path = fs::read_dir(dir.path().join("learner")).unwrap().next().unwrap().unwrap().path();
-        assert_eq!(path, writer.path());
-        assert!(path.file_name().unwrap().to_str().unwrap().starts_with("events.out.tfevents."));
-        let events = events(&path);
+        let name = fs::read_dir(&folder).unwrap().next().unwrap().unwrap().file_name();
+        assert!(name.to_str().unwrap().starts_with("events.out.tfevents."));
+        let events = events(&folder);
         assert_eq!(events.len(), 3);
         assert_eq!(events[0].file_version.as_deref(), Some("brain.Event:2"));
         assert_eq!(events[1].step, 4096);
@@ -356,9 +343,13 @@ mod tests {
         fs::write(&newest, "").unwrap();
         let other = dir.path().join(format!("{PREFIX}9999999999.host"));
         fs::write(other, "").unwrap();
-        let first = EventWriter::create(dir.path()).unwrap();
-        let second = EventWriter::create(dir.path()).unwrap();
-        assert_eq!(event_files(dir.path()).unwrap(), [newest.as_path(), first.path(), second.path()]);
+        let create = || {
+            EventWriter::create(dir.path()).unwrap();
+            event_files(dir.path()).unwrap()
+        };
+        let [one, two] = [create(), create()];
+        assert_eq!((&one[0], one.len()), (&newest, 2));
+        assert_eq!((&two[..2], two.len()), (&one[..], 3));
         let id = std::process::id();
         assert_eq!(next_name(&[], 0.0), format!("{PREFIX}0000000000.000000.{id}"), "before 1970");
         let old = PathBuf::from(next_name(&[], 1_700_000_000.5));
@@ -370,7 +361,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let mut writer = EventWriter::create(dir.path()).unwrap();
         writer.restart(12_000).unwrap();
-        let event = events(writer.path()).pop().unwrap();
+        let event = events(dir.path()).pop().unwrap();
         assert_eq!((event.step, event.session_log, event.summary), (12_000, Some(SessionLog { status: 1 }), None));
     }
 
@@ -380,12 +371,12 @@ mod tests {
         let mut writer = EventWriter::create(dir.path()).unwrap();
         writer.scalars(1, [("a".to_owned(), 1.0)]).unwrap();
         // A write that fails in its middle, as on a full disk.
-        let whole = fs::read(writer.path()).unwrap();
-        fs::write(writer.path(), [&whole[..], b"\x10\0\0"].concat()).unwrap();
+        let whole = written(dir.path());
+        fs::write(&event_files(dir.path()).unwrap()[0], [&whole[..], b"\x10\0\0"].concat()).unwrap();
         writer.is_cut = true;
         writer.scalars(2, [("a".to_owned(), 2.0)]).unwrap();
-        assert!(fs::read(writer.path()).unwrap().starts_with(&whole));
-        assert_eq!(events(writer.path()).iter().map(|event| event.step).collect::<Vec<_>>(), [0, 1, 2]);
+        assert!(written(dir.path()).starts_with(&whole));
+        assert_eq!(events(dir.path()).iter().map(|event| event.step).collect::<Vec<_>>(), [0, 1, 2]);
     }
 
     #[test]

@@ -264,6 +264,12 @@ mod tests {
 
     use super::*;
 
+    /// What the learner's event file says, with the numbers as they are.
+    fn events(paths: &RunPaths) -> String {
+        let files = event_files(&paths.tensorboard(Role::Learner)).unwrap();
+        String::from_utf8_lossy(&fs::read(&files[0]).unwrap()).into_owned()
+    }
+
     #[test]
     fn counts_and_ppo_have_no_points_at_zero() {
         let folder = tempfile::tempdir().unwrap();
@@ -277,7 +283,7 @@ mod tests {
             ("learner/policy_lag_mean", 0.0),
         ];
         writer.scalars(1, scalars.map(|(tag, value)| (tag.to_owned(), value))).unwrap();
-        let events = String::from_utf8_lossy(&fs::read(writer.tensorboard.path()).unwrap()).into_owned();
+        let events = events(&paths);
         let written = scalars.map(|(tag, _)| events.contains(tag));
         assert_eq!(written, [false, false, false, true, true]);
     }
@@ -285,12 +291,13 @@ mod tests {
     #[test]
     fn the_token_stays_out_of_event_files() {
         let folder = tempfile::tempdir().unwrap();
-        let mut writer = MetricsWriter::open(&RunPaths::new(folder.path()), Role::Learner).unwrap();
+        let paths = RunPaths::new(folder.path());
+        let mut writer = MetricsWriter::open(&paths, Role::Learner).unwrap();
         let token = "0123456789abcdef";
         let page = format!("[dashboard.web]\nlisten = \"0.0.0.0:80\"\ntoken = \"{token}\"\n");
         writer.settings(&format!("seed = 1\n\n{page}\n[learner]\ngamma = 0.9\n")).unwrap();
         writer.settings(&format!("{page}no TOML\n")).unwrap();
-        let events = String::from_utf8_lossy(&fs::read(writer.tensorboard.path()).unwrap()).into_owned();
+        let events = events(&paths);
         assert!(events.contains("learner.gamma"), "{events}");
         assert!(!events.contains(token) && !events.contains("dashboard"), "{events}");
     }

@@ -4,8 +4,7 @@ use std::time::Instant;
 
 use blueprints::Split;
 use evaluator::{
-    Endings, EvalSetup, EvaluationProgress, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection, evaluate,
-    render, render_endings,
+    Endings, EvalSetup, EvaluationProgress, EvaluatorConfig, Follower, N_WORLDS, Performer, Selection, evaluate, render,
 };
 use proto::Valid;
 use tokio::sync::watch;
@@ -77,7 +76,7 @@ pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &Cancell
     } else {
         terminal.print(&render(&report, args.verbose));
         if let Some(endings) = endings {
-            terminal.print(&render_endings(&endings.into_sizes()));
+            terminal.print(&endings.table());
         }
     }
     if report.summary.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }

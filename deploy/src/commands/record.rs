@@ -4,9 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
-use blueprints::Blueprint;
 use evaluator::report::{End, EpisodeResult};
-use evaluator::{EpisodeConfig, EvalSetup, EvaluationProgress, Follower, Performer, record};
+use evaluator::{EpisodeConfig, EvalSetup, EvaluationProgress, Follower, Performer, Selection, record};
 use parking_lot::Mutex;
 use proto::codec::encode_recording;
 use proto::{ActionMode, Trajectory};
@@ -43,7 +42,8 @@ pub(super) async fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cance
     let config = source.config(&overrides)?;
     let goals = Goals::open_beside(&args.goals.blueprint, args.checkpoint.as_deref())?;
     goals.tell_choices(terminal);
-    let blueprints = select(&goals, args);
+    let selection = Selection { splits: args.goals.split.clone(), ..Selection::default() };
+    let blueprints = goals.or_selected(&selection)?;
     let performer =
         if args.expert { Performer::Expert } else { Performer::Policy(&source.model.policy, &source.model.weights) };
     let acting = if args.sampled { ActionMode::Sampled } else { ActionMode::Greedy };
@@ -85,15 +85,6 @@ pub(super) async fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cance
     let is_complete = played.map_err(anyhow::Error::from)?;
     terminal.print(&said);
     if is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
-}
-
-/// The named blueprints, or those of the splits.
-fn select<'g>(goals: &'g Goals, args: &RecordArgs) -> Vec<&'g Blueprint> {
-    if args.goals.split.is_empty() {
-        return goals.blueprints();
-    }
-    let wanted = |blueprint: &&Blueprint| args.goals.split.contains(&blueprint.split());
-    goals.catalog.iter().filter(wanted).collect()
 }
 
 fn create(folder: &Path) -> Result<(), Failure> {
