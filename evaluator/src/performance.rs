@@ -1,14 +1,14 @@
 //! Plays one episode on demand and records it for display.
 
 use blueprints::{Blueprint, Catalog};
-use environment::{EnvironmentConfig, ExpertAgent, World};
+use environment::{EnvironmentConfig, World};
 use parking_lot::Mutex;
-use policy::{Policy, PolicyConfig, PolicyError};
+use policy::PolicyConfig;
 use proto::{ActionMode, Disturbance, Start, Trajectory, Valid, Weights};
 
 use crate::recording::Recorder;
 use crate::report::EpisodeResult;
-use crate::sequences::{EpisodeSpec, PerformerAgent, Rules, run_sequences};
+use crate::sequences::{EpisodeSpec, Rules, run_sequences};
 use crate::setup::EvalError;
 
 /// The agent that acts in an episode.
@@ -48,7 +48,6 @@ pub fn perform(
     keep_going: &(dyn Fn() -> bool + Sync),
 ) -> Result<Trajectory, EvalError> {
     let Performance { environment, blueprint, before, acting, seed, disturbances } = performance;
-    let mut agent = performer.agent(environment)?;
     let mut catalog = Catalog::of_one(blueprint.clone());
     for other in before.iter().filter(|other| other.id() != blueprint.id()) {
         catalog = catalog.with(&Catalog::of_one(other.clone()));
@@ -56,8 +55,8 @@ pub fn perform(
     // Of all episodes, the last one stays.
     let seen = Mutex::new(None);
     let keep = |_: usize, episode: Trajectory, _: &EpisodeResult| *seen.lock() = Some(episode);
-    let (success, recorder) = (&environment.success, Some(&keep as &dyn Recorder));
-    let rules = Rules { catalog: &catalog, performer, acting, success, keep_going, recorder };
+    let recorder = Some(&keep as &dyn Recorder);
+    let rules = Rules { catalog: &catalog, environment, performer, acting, keep_going, recorder };
     let goals = before.iter().chain([blueprint]).zip(0..);
     let specs: Vec<_> = goals
         .map(|(goal, idx)| {
@@ -68,7 +67,7 @@ pub fn perform(
     let mut sequences = std::iter::once((0, specs.as_slice()));
     let mut world = World::new(environment);
     world.disturb(before.len(), disturbances);
-    run_sequences(&rules, &mut agent, vec![world], || sequences.next(), |_, _| {})?;
+    run_sequences(&rules, vec![world], || sequences.next(), |_, _| {})?;
     let mut episode = seen.into_inner().expect("every episode has ended");
     for (step, disturbance) in disturbances {
         // The episode may have ended before.
@@ -77,19 +76,6 @@ pub fn perform(
         }
     }
     Ok(episode)
-}
-
-impl Performer<'_> {
-    /// Creates the agent that acts in worlds of this configuration.
-    ///
-    /// # Errors
-    /// If the weights do not fit.
-    pub(crate) fn agent(self, environment: &EnvironmentConfig) -> Result<PerformerAgent, PolicyError> {
-        Ok(match self {
-            Self::Expert => PerformerAgent::Expert(ExpertAgent::new(environment)),
-            Self::Policy(config, weights) => PerformerAgent::Policy(Box::new(Policy::with_weights(config, weights)?)),
-        })
-    }
 }
 
 #[cfg(test)]

@@ -82,12 +82,11 @@ impl EvaluationPool<'_> {
         completed: &mut Vec<(usize, Vec<EpisodeResult>)>,
     ) -> Result<(), EvalError> {
         let _closing = CloseOnDrop(queue);
-        let mut agent = self.performer.agent(&self.setup.environment)?;
         let rules = Rules {
             catalog: self.setup.catalog,
+            environment: &self.setup.environment,
             performer: self.performer,
             acting,
-            success: &self.setup.environment.success,
             keep_going: self.keep_going,
             recorder: self.recorder,
         };
@@ -96,7 +95,7 @@ impl EvaluationPool<'_> {
             self.change_progress(|progress| results.iter().for_each(|result| progress.count(result)));
             completed.push((sequence_idx, results));
         };
-        run_sequences(&rules, &mut agent, worlds, || queue.take(), done)
+        run_sequences(&rules, worlds, || queue.take(), done)
     }
 
     fn change_progress(&self, change: impl FnOnce(&mut EvaluationProgress)) {

@@ -4,7 +4,9 @@ use blueprints::hash::fnv1a;
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::config::SuccessConfig;
 use environment::vec_env::generator;
-use environment::{Env, ExpertAgent, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment};
+use environment::{
+    Env, EnvironmentConfig, ExpertAgent, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment,
+};
 use policy::{Policy, PolicyError};
 use proto::{Action, ActionMode, RewardTerms, Start, Status, Task, Transition};
 use rand::seq::IndexedRandom;
@@ -21,7 +23,7 @@ use crate::setup::EvalError;
 const SETTLE_STEPS: u8 = 10;
 
 /// The agent that acts, with its state.
-pub(crate) enum PerformerAgent {
+enum PerformerAgent {
     Expert(ExpertAgent),
     Policy(Box<Policy>),
 }
@@ -37,10 +39,9 @@ pub(crate) struct EpisodeSpec {
 /// Settings shared by all worlds of a thread.
 pub(crate) struct Rules<'a> {
     pub(crate) catalog: &'a Catalog,
-    /// Who acts, for recordings.
+    pub(crate) environment: &'a EnvironmentConfig,
     pub(crate) performer: Performer<'a>,
     pub(crate) acting: ActionMode,
-    pub(crate) success: &'a SuccessConfig,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
     pub(crate) recorder: Option<&'a dyn Recorder>,
 }
@@ -77,13 +78,16 @@ impl EpisodeSpec {
 /// starts the next sequence. Each sequence's results go to `done` with its index.
 pub(crate) fn run_sequences<'s, E: Env + Clone>(
     rules: &Rules<'_>,
-    agent: &mut PerformerAgent,
     mut worlds: Vec<E>,
     mut next: impl FnMut() -> Option<(usize, &'s [EpisodeSpec])>,
     mut done: impl FnMut(usize, Vec<EpisodeResult>),
 ) -> Result<(), EvalError> {
     let slots: Vec<EnvSlot<'_>> = worlds.iter().map_while(|_| next()).map(EnvSlot::new).collect();
     worlds.truncate(slots.len());
+    let agent = match rules.performer {
+        Performer::Expert => PerformerAgent::Expert(ExpertAgent::new(rules.environment)),
+        Performer::Policy(config, weights) => PerformerAgent::Policy(Box::new(Policy::with_weights(config, weights)?)),
+    };
     let mut running = EnvironmentLoop { rules, agent, envs: VecEnv::new(worlds), slots };
     for row in 0..running.slots.len() {
         running.start(row)?;
@@ -118,7 +122,7 @@ pub(crate) fn run_sequences<'s, E: Env + Clone>(
 /// Worlds, the agent that acts in them, and their episodes.
 struct EnvironmentLoop<'a, E> {
     rules: &'a Rules<'a>,
-    agent: &'a mut PerformerAgent,
+    agent: PerformerAgent,
     envs: VecEnv<E>,
     /// One slot per world.
     slots: Vec<EnvSlot<'a>>,
@@ -187,7 +191,7 @@ impl<E: Env + Clone> EnvironmentLoop<'_, E> {
     /// Advances every world by one step.
     fn step(&mut self) -> Result<Vec<Step>, PolicyError> {
         let modes = vec![self.rules.acting; self.slots.len()];
-        match self.agent {
+        match &mut self.agent {
             PerformerAgent::Expert(expert) => {
                 let Ok(steps) = self.envs.step(expert, &modes);
                 Ok(steps)
@@ -212,7 +216,7 @@ impl<E: Env + Clone> EnvironmentLoop<'_, E> {
         let env = self.envs.env(row);
         let end = match status {
             // In a copy, because the next goal may begin where this one ends, with the structure still held.
-            Status::Success => End::Success { stable: settles(env.clone(), rules.success) },
+            Status::Success => End::Success { stable: settles(env.clone(), &rules.environment.success) },
             Status::Running | Status::TimeLimit => End::TimeLimit,
             Status::Diverged => End::Diverged,
         };

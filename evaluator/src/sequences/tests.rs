@@ -1,9 +1,7 @@
 //! Sequences of toy worlds whose endings are scripted.
 
-use policy::Policy;
-use proto::Valid;
-
 use super::*;
+use crate::episodes::tests::performer;
 
 #[path = "../../../environment/tests/toy/mod.rs"]
 mod toy;
@@ -16,19 +14,18 @@ pub(crate) fn goal() -> &'static Blueprint {
 }
 
 fn run(worlds: Vec<Toy>, sequences: &[Vec<EpisodeSpec>]) -> Vec<Vec<EpisodeResult>> {
-    let mut agent = PerformerAgent::Policy(Box::new(Policy::new(&Valid::default())));
     let rules = Rules {
         catalog: Catalog::builtin(),
-        performer: Performer::Expert,
+        environment: &EnvironmentConfig::default(),
+        performer: performer(),
         acting: ActionMode::Sampled,
-        success: &SuccessConfig::default(),
         keep_going: &|| true,
         recorder: None,
     };
     let mut waiting = sequences.iter().map(Vec::as_slice).enumerate();
     let mut all = vec![Vec::new(); sequences.len()];
     let done = |sequence_idx: usize, results| all[sequence_idx] = results;
-    run_sequences(&rules, &mut agent, worlds, || waiting.next(), done).unwrap();
+    run_sequences(&rules, worlds, || waiting.next(), done).unwrap();
     all
 }
 
