@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::anyhow;
@@ -36,10 +36,6 @@ struct Named {
 }
 
 impl Goals {
-    fn of(catalog: Arc<Catalog>) -> Self {
-        Self { catalog, own: Vec::new(), ids: Vec::new(), inferred: Vec::new() }
-    }
-
     /// Resolves names, each of which is a file, a folder of files, or an id. Ids may also refer to the blueprints kept
     /// with a run; `run` is the run's folder or a path in it.
     ///
@@ -47,8 +43,10 @@ impl Goals {
     /// Names the file that is not a blueprint, or the unknown id and the nearest known one; also when a blueprint of
     /// the run cannot be read, or is not the one that the run began with.
     pub(super) fn open_beside(named: &[OsString], run: Option<&Path>) -> Result<Self, Failure> {
-        let mut goals = Self::of(Catalog::builtin().clone());
-        if let Some(folder) = run.and_then(blueprints_of_run) {
+        let catalog = Catalog::builtin().clone();
+        let mut goals = Self { catalog, own: Vec::new(), ids: Vec::new(), inferred: Vec::new() };
+        let kept = run.and_then(run_of).map(|run| run.blueprints());
+        if let Some(folder) = kept.filter(|folder| folder.is_dir()) {
             let kept = Catalog::load(&folder)?;
             check_unchanged(&folder, &kept)?;
             goals.add(&kept);
@@ -216,11 +214,6 @@ fn check_unchanged(folder: &Path, kept: &Catalog) -> Result<(), Failure> {
             goal.id()
         ))),
     }
-}
-
-/// The folder with the blueprints kept with a run, if it exists; `path` is the run's folder or a path in it.
-fn blueprints_of_run(path: &Path) -> Option<PathBuf> {
-    Some(run_of(path)?.blueprints()).filter(|folder| folder.is_dir())
 }
 
 /// Returns the run that this is the folder of, or that has the file or folder.
