@@ -1,9 +1,9 @@
 //! Many worlds, one policy: steps all of them with one forward pass and returns finished segments.
 
 use environment::vec_env::generator;
-use environment::{Env, ResetError, StartError, Step, VecEnv};
+use environment::{Env, ResetError, StartError, VecEnv};
 use policy::{Policy, PolicyError};
-use proto::{ActionMode, Status, Task, Trajectory, Transition, Weights, WeightsVersion};
+use proto::{ActionMode, Status, Task, Trajectory, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
 use crate::segment::{Cut, Identity, SegmentBuilder};
@@ -134,22 +134,14 @@ impl<E: Env> Rollout<E> {
         let steps = self.envs.step(&mut self.policy, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
         let mut ended: Vec<usize> = Vec::new();
-        for (row, Step { scene, decision, result }) in steps.into_iter().enumerate() {
+        for (row, (transition, status)) in steps.into_iter().enumerate() {
             self.counters.n_env_steps += 1;
-            if result.status != Status::Running {
+            if status != Status::Running {
                 ended.push(row);
             }
-            let transition = Transition {
-                scene,
-                action: decision.action,
-                proposals: decision.proposals,
-                behavior_log_prob: decision.log_prob,
-                reward: result.reward,
-                disturbance: None,
-            };
             let after = self.envs.env(row).scene();
             let segment = &mut self.slots[row].segment;
-            match segment.push(transition, self.version, after, result.status, &self.identity) {
+            match segment.push(transition, self.version, after, status, &self.identity) {
                 Cut::None => {}
                 Cut::Segment(trajectory) => {
                     self.counters.n_segments += 1;
@@ -157,7 +149,7 @@ impl<E: Env> Rollout<E> {
                 }
                 Cut::Diverged => self.counters.n_diverged_episodes += 1,
             }
-            self.counters.n_episodes += u64::from(matches!(result.status, Status::Success | Status::TimeLimit));
+            self.counters.n_episodes += u64::from(matches!(status, Status::Success | Status::TimeLimit));
         }
         for row in ended {
             self.slots[row] = self.begin(row, self.slots[row].task_rng.clone())?;

@@ -31,5 +31,5 @@ pub use env::{Env, ResetError, StartError, StepResult};
 pub use expert::{Expert, ExpertAgent};
 pub use reset::sample_assignment;
 pub use success::StableSuccess;
-pub use vec_env::{Step, VecEnv};
+pub use vec_env::VecEnv;
 pub use world::World;

@@ -1,7 +1,7 @@
 //! Many worlds that step together, as Gymnasium's vector environments do.
 
 use blueprints::Catalog;
-use proto::{ActionMode, Agent, Decision, Observation, Scene, Task};
+use proto::{ActionMode, Agent, Decision, Observation, Status, Task, Transition};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -15,17 +15,6 @@ const MAX_RESETS: usize = 16;
 pub struct VecEnv<E> {
     envs: Vec<E>,
     rngs: Vec<ChaCha8Rng>,
-}
-
-/// A step of one world.
-#[derive(Clone, Debug)]
-pub struct Step {
-    /// The scene before the step.
-    pub scene: Scene,
-    /// The agent's decision in it.
-    pub decision: Decision,
-    /// The result of the step.
-    pub result: StepResult,
 }
 
 /// Returns an independent generator for each `stream` of a seed.
@@ -83,18 +72,23 @@ impl<E: Env> VecEnv<E> {
         Ok(task)
     }
 
-    /// Advances every world by one step. Calls `agent` once for all of them, with a mode for each row. Worlds whose
-    /// episode ends wait for [`reset`](Self::reset).
+    /// Advances every world by one step; returns the step of each, and the status after it. Calls `agent` once for all of
+    /// them, with a mode for each row. Worlds whose episode ends wait for [`reset`](Self::reset).
     ///
     /// # Errors
     /// If `agent` fails; no world has moved then.
-    pub fn step<A: Agent>(&mut self, agent: &mut A, modes: &[ActionMode]) -> Result<Vec<Step>, A::Error> {
+    pub fn step<A: Agent>(
+        &mut self,
+        agent: &mut A,
+        modes: &[ActionMode],
+    ) -> Result<Vec<(Transition, Status)>, A::Error> {
         let observations: Vec<Observation<'_>> = self.envs.iter().map(Env::observation).collect();
         let decisions = agent.act(&observations, modes, &mut self.rngs)?;
         let step = |(env, decision): (&mut E, Decision)| {
             let scene = env.scene().clone();
-            let result = env.step(&decision.action);
-            Step { scene, decision, result }
+            let StepResult { reward, status } = env.step(&decision.action);
+            let Decision { action, proposals, log_prob: behavior_log_prob, .. } = decision;
+            (Transition { scene, action, proposals, behavior_log_prob, reward, disturbance: None }, status)
         };
         Ok(self.envs.iter_mut().zip(decisions).map(step).collect())
     }
@@ -162,10 +156,10 @@ mod tests {
             for _ in 0..5 {
                 let Ok(steps) = envs.step(&mut agent, &vec![ActionMode::Greedy; alone.len()]);
                 assert_eq!(steps.len(), alone.len());
-                for (step, (world, expert)) in steps.into_iter().zip(&mut alone) {
+                for ((step, status), (world, expert)) in steps.into_iter().zip(&mut alone) {
                     let action = expert.act(world.scene());
-                    assert_eq!((&step.scene, &step.decision.action), (world.scene(), &action));
-                    assert_eq!(step.result, world.step(&action));
+                    assert_eq!((&step.scene, &step.action), (world.scene(), &action));
+                    assert_eq!(StepResult { reward: step.reward, status }, world.step(&action));
                 }
             }
             // The second world moves up.

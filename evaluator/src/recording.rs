@@ -1,9 +1,7 @@
 //! Episodes that are recorded step by step, for display.
 
-use environment::{Step, StepResult};
 use proto::{
-    ActionMode, ActorId, BehaviorPolicy, Decision, EpisodeStats, Scene, Status, Task, Trajectory, Transition,
-    WeightsVersion,
+    ActionMode, ActorId, BehaviorPolicy, EpisodeStats, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
 };
 
 use crate::performance::Performer;
@@ -28,12 +26,6 @@ impl<F: Fn(usize, Trajectory, &EpisodeResult) + Sync> Recorder for F {
     fn keep(&self, sequence_idx: usize, episode: Trajectory, result: &EpisodeResult) {
         self(sequence_idx, episode, result);
     }
-}
-
-/// Returns a step as recorded: without its log-probability, because it is not used for learning.
-pub(crate) fn transition(step: Step) -> Transition {
-    let Step { scene, decision: Decision { action, proposals, .. }, result: StepResult { reward, .. } } = step;
-    Transition { scene, action, proposals, behavior_log_prob: 0.0, reward, disturbance: None }
 }
 
 /// Returns an episode that has ended; its actor is `expert` or `policy`.

@@ -4,9 +4,7 @@ use blueprints::hash::fnv1a;
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::config::SuccessConfig;
 use environment::vec_env::generator;
-use environment::{
-    Env, EnvironmentConfig, ExpertAgent, ResetError, StableSuccess, Step, StepResult, VecEnv, sample_assignment,
-};
+use environment::{Env, EnvironmentConfig, ExpertAgent, ResetError, StableSuccess, VecEnv, sample_assignment};
 use policy::{Policy, PolicyError};
 use proto::{Action, ActionMode, RewardTerms, Start, Status, Task, Transition};
 use rand::seq::IndexedRandom;
@@ -15,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
 use crate::performance::Performer;
-use crate::recording::{Recorder, trajectory, transition};
+use crate::recording::{Recorder, trajectory};
 use crate::report::{End, EpisodeResult};
 use crate::setup::EvalError;
 
@@ -189,7 +187,7 @@ impl<E: Env + Clone> EnvironmentLoop<'_, E> {
     }
 
     /// Advances every world by one step.
-    fn step(&mut self) -> Result<Vec<Step>, PolicyError> {
+    fn step(&mut self) -> Result<Vec<(Transition, Status)>, PolicyError> {
         let modes = vec![self.rules.acting; self.slots.len()];
         match &mut self.agent {
             PerformerAgent::Expert(expert) => {
@@ -201,14 +199,14 @@ impl<E: Env + Clone> EnvironmentLoop<'_, E> {
     }
 
     /// Records a step; returns the result if the step ended the episode.
-    fn observe(&mut self, row: usize, step: Step) -> Option<EpisodeResult> {
+    fn observe(&mut self, row: usize, (step, status): (Transition, Status)) -> Option<EpisodeResult> {
         let rules = self.rules;
         let slot = &mut self.slots[row];
-        let StepResult { reward, status } = step.result;
         slot.n_steps += 1;
-        slot.episode_return = slot.episode_return + reward;
+        slot.episode_return = slot.episode_return + step.reward;
         if let Some(recording) = &mut slot.recording {
-            recording.push(transition(step));
+            // Without its log-probability, because nothing is learned from it.
+            recording.push(Transition { behavior_log_prob: 0.0, ..step });
         }
         if status == Status::Running {
             return None;

@@ -5,10 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use blueprints::{Catalog, Split};
-use environment::{Step, StepResult};
 use proto::codec::decode_recording;
 use proto::metrics::VideoCounts;
-use proto::{Action, ActionMode, Decision, RewardTerms, Start, Status};
+use proto::{Action, ActionMode, RewardTerms, Start, Transition};
 use runlog::RunPaths;
 
 use super::VideoRecorder;
@@ -18,7 +17,7 @@ use crate::config::{EpisodeConfig, VideosConfig};
 use crate::episodes::evaluate_in_parts;
 use crate::episodes::tests::{performer, small_setup, weights};
 use crate::pool::EvaluationPool;
-use crate::recording::{Recorder, trajectory, transition};
+use crate::recording::{Recorder, trajectory};
 use crate::report::End;
 use crate::report::tests::episode;
 use crate::sequences::EpisodeSpec;
@@ -66,9 +65,9 @@ fn play(selector: &EpisodeSelector, acting: ActionMode, end: End) -> bool {
     if !selector.wants(&spec, acting) {
         return false;
     }
-    let decision = Decision { action: Action::IDLE, proposals: [None; 2], log_prob: 0.0, value: 0.0 };
-    let result = StepResult { reward: RewardTerms::default(), status: Status::Running };
-    let step = transition(Step { scene: scene(), decision, result });
+    let (action, reward) = (Action::IDLE, RewardTerms::default());
+    let step =
+        Transition { scene: scene(), action, proposals: [None; 2], behavior_log_prob: 0.0, reward, disturbance: None };
     let result = episode(goal().id().as_str(), acting, end, 1);
     selector.keep(0, trajectory(performer(), &spec.task, vec![step], &scene(), &result), &result);
     true
