@@ -72,8 +72,8 @@ impl<E: Env> VecEnv<E> {
         Ok(task)
     }
 
-    /// Advances every world by one step; returns the step of each, and the status after it. Calls `agent` once for all of
-    /// them, with a mode for each row. Worlds whose episode ends wait for [`reset`](Self::reset).
+    /// Advances every world by one step; returns the step of each, and the status after it. Calls `agent` once for all
+    /// of them, with a mode for each row. Worlds whose episode ends wait for [`reset`](Self::reset).
     ///
     /// # Errors
     /// If `agent` fails; no world has moved then.

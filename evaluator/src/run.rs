@@ -114,7 +114,7 @@ pub async fn run(setup: EvaluatorSetup, bus: &Bus, mut listeners: Listeners, sto
     }
     let publishers = Publishers::new(bus).await?;
     publishers.history.set(&evaluations.overview())?;
-    let mut outlets = Outlets { records, evaluations, publishers, last: None, listeners, videos: videos.as_ref() };
+    let mut outlets = Outlets { records, evaluations, publishers, listeners, videos: videos.as_ref() };
     let ended = evaluate_all(&setup, bus, weights, &selected, last, &mut outlets, &stop).await;
     let kept = outlets.catch_up().await;
     if let Some(videos) = videos {
@@ -157,10 +157,11 @@ async fn evaluate_all(
     let mut n_evaluations = 0;
     loop {
         let waiting = bus.pulse().waiting();
-        let ends = Ends { last: stop.last.clone(), learner: learner.as_ref().map(|learner| learner.watch()) };
+        let is_there = learner.as_ref().map(|learner| learner.watch());
+        let next = next_due(setup, &mut weights, last.as_ref(), selected, stop.last.clone(), is_there);
         let newest = tokio::select! {
             () = stop.now.cancelled() => return Ok(n_evaluations),
-            newest = next_due(setup, &mut weights, last.as_ref(), selected, ends) => newest?,
+            newest = next => newest?,
         };
         drop(waiting);
         let Some((newest, is_last)) = newest else { return Ok(n_evaluations) };
@@ -209,8 +210,6 @@ struct Outlets<'r> {
     records: Option<Records>,
     evaluations: Evaluations,
     publishers: Publishers<'r>,
-    /// The newest complete report of this process.
-    last: Option<EvalReport>,
     listeners: Listeners,
     videos: Option<&'r VideoRecorder>,
 }
@@ -257,8 +256,7 @@ impl Outlets<'_> {
         self.publishers.history.set(&self.evaluations.overview())?;
         drop(self.listeners.evaluations.send(evaluation));
         self.publishers.publish(&report).await?;
-        self.listeners.reports.send_replace(Some(Arc::new(report.clone())));
-        self.last = Some(report);
+        self.listeners.reports.send_replace(Some(Arc::new(report)));
         Ok(())
     }
 
@@ -272,11 +270,11 @@ impl Outlets<'_> {
     /// Publishes the last complete report again, if there is one. After an evaluation that is given up, its last part
     /// would otherwise stay the newest report, and viewers would show it as in progress.
     async fn publish_last(&mut self) -> anyhow::Result<()> {
-        let Some(report) = &mut self.last else { return Ok(()) };
+        let Some(mut report) = self.listeners.reports.borrow().as_deref().cloned() else { return Ok(()) };
         // Counters of the process, which must not fall back to their values of that time.
         report.summary.bus = self.publishers.bus.counts();
         report.summary.videos = self.videos.map(VideoRecorder::counts);
-        self.publishers.publish(report).await
+        self.publishers.publish(&report).await
     }
 }
 
@@ -318,33 +316,26 @@ impl Evaluated {
     }
 }
 
-/// What tells which weights are the last.
-struct Ends {
-    /// The last weights, once known.
-    last: Option<watch::Receiver<Option<Arc<Weights>>>>,
-    /// Whether a learner is there that may have newer ones.
-    learner: Option<watch::Receiver<bool>>,
-}
-
 /// Waits for weights that are due, and returns them with whether they are the last; `None` if no more will be
-/// evaluated.
+/// evaluated. The last ones are `last_weights`, once known, or the newest when no learner `is_there` any longer.
 async fn next_due(
     setup: &EvaluatorSetup,
     weights: &mut watch::Receiver<Option<Arc<Weights>>>,
     last: Option<&Evaluated>,
     selected: &Selected,
-    mut ends: Ends,
+    mut last_weights: Option<watch::Receiver<Option<Arc<Weights>>>>,
+    mut is_there: Option<watch::Receiver<bool>>,
 ) -> anyhow::Result<Option<(Arc<Weights>, bool)>> {
     // The last weights may have more goals: an evaluation without those does not count as theirs.
     let covers = |last: &&Evaluated| last.is_last || selected.last.len() == selected.usual.len();
     let evaluated = last.filter(covers).map(|last| (last.version, last.n_env_steps));
     let is_new = |newest: &Weights| evaluated != Some((newest.version, newest.n_env_steps));
     loop {
-        if let Some(newest) = ends.last.as_mut().and_then(|last| last.borrow_and_update().clone()) {
+        if let Some(newest) = last_weights.as_mut().and_then(|last| last.borrow_and_update().clone()) {
             return Ok(is_new(&newest).then_some((newest, true)));
         }
         let newest = weights.borrow_and_update().clone();
-        let is_gone = ends.learner.as_mut().is_some_and(|is_there| !*is_there.borrow_and_update());
+        let is_gone = is_there.as_mut().is_some_and(|is_there| !*is_there.borrow_and_update());
         if is_gone && let Some(newest) = newest.clone().filter(|newest| newest.n_env_steps > 0 && is_new(newest)) {
             return Ok(Some((newest, true)));
         }
@@ -356,8 +347,8 @@ async fn next_due(
         tokio::select! {
             changed = weights.changed() => changed.context("the bus closed")?,
             // Never, if there is no receiver or its sender is gone.
-            Some(Ok(())) = async { Some(ends.last.as_mut()?.changed().await) } => {}
-            Some(Ok(())) = async { Some(ends.learner.as_mut()?.changed().await) } => {}
+            Some(Ok(())) = async { Some(last_weights.as_mut()?.changed().await) } => {}
+            Some(Ok(())) = async { Some(is_there.as_mut()?.changed().await) } => {}
             () = tokio::time::sleep(rest.unwrap_or_default()), if rest.is_some() => {}
         }
     }

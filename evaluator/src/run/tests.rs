@@ -194,7 +194,6 @@ async fn the_last_complete_report_replaces_the_parts_of_one_that_is_given_up() {
         records: None,
         evaluations: Evaluations::default(),
         publishers: Publishers::new(&bus).await.unwrap(),
-        last: None,
         listeners: Listeners::default(),
         videos: None,
     };
