@@ -44,10 +44,10 @@ pub struct Grid {
 ///
 /// A run resumed from an older checkpoint repeats some steps. The result leaves out the evaluations of the abandoned
 /// weights, and the first evaluation of weights that were evaluated twice.
-pub fn lineage(evaluations: &[Evaluation]) -> Vec<&Evaluation> {
-    let mut kept: Vec<&Evaluation> = Vec::new();
+pub fn lineage(evaluations: Vec<Evaluation>) -> Vec<Evaluation> {
+    let mut kept = Vec::new();
     for evaluation in evaluations {
-        push_newer(&mut kept, evaluation, |evaluation| evaluation.n_env_steps);
+        push_newer(&mut kept, evaluation, |evaluation: &Evaluation| evaluation.n_env_steps);
     }
     kept
 }
@@ -63,8 +63,8 @@ pub(crate) fn push_newer<T>(kept: &mut Vec<T>, value: T, n_env_steps: impl Fn(&T
 
 impl Grid {
     /// Builds a grid of evaluations with increasing steps; `None` if none used this action mode.
-    pub fn success(evaluations: &[&Evaluation], acting: ActionMode) -> Option<Self> {
-        let is_evaluated = |evaluation: &&&Evaluation| {
+    pub fn success(evaluations: &[Evaluation], acting: ActionMode) -> Option<Self> {
+        let is_evaluated = |evaluation: &&Evaluation| {
             let mut scores = evaluation.blueprints.iter();
             scores.any(|score| score.outcome(acting).is_some())
         };
@@ -133,26 +133,26 @@ mod tests {
             (200, 5, None),
         ]);
         let kept: Vec<(u64, u64)> =
-            lineage(&all).iter().map(|p| (p.n_env_steps, p.blueprints[0].greedy.success.n_successes)).collect();
+            lineage(all).iter().map(|p| (p.n_env_steps, p.blueprints[0].greedy.success.n_successes)).collect();
         assert_eq!(kept, [(0, 0), (100, 1), (150, 4), (200, 5)]);
-        assert_eq!(lineage(&[]), [] as [&Evaluation; 0]);
+        assert_eq!(lineage(Vec::new()), []);
     }
 
     #[test]
     fn grid_rows_are_sorted_and_gaps_are_none() {
         let all = evaluations(&[(0, 0, None), (100, 10, Some(5))]);
-        let grid = Grid::success(&lineage(&all), ActionMode::Greedy).unwrap();
+        let grid = Grid::success(&all, ActionMode::Greedy).unwrap();
         assert_eq!(grid.rows.keys().map(|row| row.id.as_str()).collect::<Vec<_>>(), ["2_000", "10_000"]);
         assert_eq!(grid.steps, [0, 100]);
         let rates: Vec<Vec<_>> =
             grid.rows.values().map(|row| row.iter().map(|cell| Some(cell.as_ref()?.rate)).collect()).collect();
         assert_eq!(rates, [vec![Some(0.0), Some(1.0)], vec![None, Some(0.5)]]);
-        assert_eq!(Grid::success(&lineage(&all), ActionMode::Sampled), None);
+        assert_eq!(Grid::success(&all, ActionMode::Sampled), None);
     }
 
     #[test]
     fn common_rates_use_the_shared_blueprints() {
-        let grid = |all: &[Evaluation]| Grid::success(&lineage(all), ActionMode::Greedy).unwrap();
+        let grid = |all: &[Evaluation]| Grid::success(all, ActionMode::Greedy).unwrap();
         let run = grid(&evaluations(&[(0, 0, None), (100, 6, Some(9))]));
         let other = grid(&evaluations(&[(5, 1, Some(2)), (110, 2, Some(3))]));
         let found = common_rates(&[run.clone(), other]).unwrap();

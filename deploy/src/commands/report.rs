@@ -17,7 +17,6 @@ use crate::cli::ReportArgs;
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::check_exists;
-use tables::GroupRow;
 
 /// Default output folder, inside the run's folder.
 const REPORT: &str = "report";
@@ -33,13 +32,12 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     if let Some(results) = sweep::results(&args.run)? {
         return of_sweep(args, &results, stdout);
     }
-    let all = history(&args.run)?;
-    let evaluations = shown(&all, &args.run, terminal);
+    let evaluations = evaluations(&args.run, terminal)?;
     let has_greedy = Grid::success(&evaluations, ActionMode::Greedy).is_some();
     let acting = args.acting.unwrap_or(default_acting(has_greedy));
     let grid = success(&args.run, &evaluations, acting)?;
     let mut files = vec![file("success", tables::grid(&grid)), file("curves", tables::curves(&evaluations, acting))];
-    let rows = evaluations.last().map(|last| tables::groups(last)).unwrap_or_default();
+    let rows = evaluations.last().map(tables::groups).unwrap_or_default();
     files.push(("groups.md".to_owned(), tables::groups_markdown(&rows).into_bytes()));
     files.push(file("groups", tables::groups_csv(&rows)));
     if !args.beside.is_empty() {
@@ -47,7 +45,17 @@ pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure>
     }
     let written = write(args, &files)?;
     if args.json {
-        return super::common::json(&summary(args, acting, &evaluations, &grid, &rows, &written), stdout);
+        let summary = json!({
+            "run": args.run.display().to_string(),
+            "acting": acting.name(),
+            "n_evaluations": evaluations.len(),
+            "n_blueprints": grid.rows.len(),
+            "weights_version": evaluations.last().map(|last| last.weights_version),
+            "n_env_steps": evaluations.last().map(|last| last.n_env_steps),
+            "groups": rows,
+            "files": written,
+        });
+        return super::common::json(&summary, stdout);
     }
     let what = format!("{} of {}", count(evaluations.len(), "evaluation"), count(grid.rows.len(), "blueprint"));
     terminal.print(&format!("{} ({what}):", name(&args.run)));
@@ -90,31 +98,10 @@ fn of_sweep(args: &ReportArgs, results: &Results, terminal: &Terminal) -> Result
     Ok(())
 }
 
-/// Output of `--json`: the groups of the last evaluation, and the files written.
-fn summary(
-    args: &ReportArgs,
-    acting: ActionMode,
-    evaluations: &[&Evaluation],
-    grid: &Grid,
-    groups: &[GroupRow],
-    files: &[String],
-) -> serde_json::Value {
-    json!({
-        "run": args.run.display().to_string(),
-        "acting": acting.name(),
-        "n_evaluations": evaluations.len(),
-        "n_blueprints": grid.rows.len(),
-        "weights_version": evaluations.last().map(|last| last.weights_version),
-        "n_env_steps": evaluations.last().map(|last| last.n_env_steps),
-        "groups": groups,
-        "files": files,
-    })
-}
-
 fn comparison(of_run: &Grid, acting: ActionMode, args: &ReportArgs, terminal: &Terminal) -> Result<File, Failure> {
     let mut grids = vec![of_run.clone()];
     for run in &args.beside {
-        grids.push(success(run, &shown(&history(run)?, run, terminal), acting)?);
+        grids.push(success(run, &evaluations(run, terminal)?, acting)?);
     }
     let common = common_rates(&grids).ok_or_else(|| {
         Failure::NothingToShow(format!(
@@ -128,25 +115,23 @@ fn comparison(of_run: &Grid, acting: ActionMode, args: &ReportArgs, terminal: &T
     Ok(file("comparison", tables::comparison(&names(folders), &common)))
 }
 
-fn history(run: &Path) -> Result<Vec<Evaluation>, Failure> {
-    check_exists(run)?;
-    Ok(History::read(&RunPaths::new(run).history())?)
-}
-
 /// The evaluations to show; prints how many are left out.
-fn shown<'p>(all: &'p [Evaluation], run: &Path, terminal: &Terminal) -> Vec<&'p Evaluation> {
+fn evaluations(run: &Path, terminal: &Terminal) -> Result<Vec<Evaluation>, Failure> {
+    check_exists(run)?;
+    let all = History::read(&RunPaths::new(run).history())?;
+    let n_all = all.len();
     let evaluations = lineage(all);
-    let n_left_out = all.len() - evaluations.len();
+    let n_left_out = n_all - evaluations.len();
     if n_left_out > 0 {
         let run = run.display();
         let left_out = count(n_left_out, "evaluation");
         terminal.print(&format!("{run}: left out {left_out} that the run repeated after it was resumed"));
     }
-    evaluations
+    Ok(evaluations)
 }
 
 /// The success of a run over its evaluations, of which there must be some.
-fn success(run: &Path, evaluations: &[&Evaluation], acting: ActionMode) -> Result<Grid, Failure> {
+fn success(run: &Path, evaluations: &[Evaluation], acting: ActionMode) -> Result<Grid, Failure> {
     Grid::success(evaluations, acting).ok_or_else(|| {
         let history = RunPaths::new(run).history();
         Failure::NothingToShow(match Grid::success(evaluations, acting.other()) {

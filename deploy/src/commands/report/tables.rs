@@ -101,7 +101,7 @@ pub(super) fn grid(grid: &Grid) -> String {
 }
 
 /// One row per group and evaluation.
-pub(super) fn curves(evaluations: &[&Evaluation], acting: ActionMode) -> String {
+pub(super) fn curves(evaluations: &[Evaluation], acting: ActionMode) -> String {
     let rows = evaluations.iter().flat_map(|evaluation| {
         let is_group = |name: &str| Group::ALL.iter().any(|group| group.name() == name);
         let of_groups = groups(evaluation).into_iter().filter(move |row| row.acting == acting && is_group(&row.name));

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use blueprints::outside;
 use proto::ActionMode;
-use runlog::series::lineage;
 use runlog::{History, RunPaths};
 use serde::{Deserialize, Serialize};
 
@@ -77,9 +76,9 @@ impl RunResult {
     /// The scores of a run's last evaluation; `None` if it does not have all of its steps, or they are not evaluated.
     pub(super) fn of_run(folder: &Path, n_env_steps: u64) -> anyhow::Result<Option<Self>> {
         let history = RunPaths::new(folder).history();
-        let evaluations = if history.exists() { History::read(&history)? } else { Vec::new() };
-        let last = lineage(&evaluations).pop().filter(|last| last.n_env_steps >= n_env_steps);
-        Ok(last.map(|last| Self::Done { n_env_steps: last.n_env_steps, scores: scores(last) }))
+        let mut evaluations = if history.exists() { History::read(&history)? } else { Vec::new() };
+        let last = evaluations.pop().filter(|last| last.n_env_steps >= n_env_steps);
+        Ok(last.map(|last| Self::Done { n_env_steps: last.n_env_steps, scores: scores(&last) }))
     }
 }
 

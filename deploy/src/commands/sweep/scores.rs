@@ -88,7 +88,7 @@ type Evaluated = Vec<(u64, Vec<Score>)>;
 pub(super) fn curve<'r>(runs: impl Iterator<Item = &'r Run>) -> Result<Vec<Moment>, HistoryError> {
     let evaluated = |run: &Run| -> Result<Evaluated, HistoryError> {
         let evaluations = History::read(&RunPaths::new(&run.folder).history())?;
-        Ok(lineage(&evaluations).into_iter().map(|evaluation| (evaluation.n_env_steps, scores(evaluation))).collect())
+        Ok(lineage(evaluations).iter().map(|evaluation| (evaluation.n_env_steps, scores(evaluation))).collect())
     };
     Ok(moments(&runs.map(evaluated).collect::<Result<Vec<_>, _>>()?))
 }
