@@ -68,9 +68,6 @@ pub fn evaluate(
 /// Like [`evaluate()`] for the pool's performer. Reports intermediate results to `on_part`: of the first
 /// [`FIRST_PART`] episodes, then of twice as many, and so on. Every part is spread over all blueprints, so its groups are
 /// fair samples of the whole.
-///
-/// # Errors
-/// As for [`evaluate()`].
 pub(crate) fn evaluate_in_parts(
     pool: &EvaluationPool<'_>,
     blueprints: &[&Blueprint],

@@ -17,9 +17,6 @@ use crate::setup::EvalError;
 /// never the same twice in a row. The episodes are not recorded.
 ///
 /// A world that diverged is reset, and the reset is counted. Runs depend only on the setup's seed.
-///
-/// # Errors
-/// If the agent fails, no blueprint is large enough, or the pool is interrupted.
 pub(crate) fn evaluate(pool: &EvaluationPool<'_>, config: &ResetFreeConfig) -> Result<EvalResetFree, EvalError> {
     let pool = EvaluationPool { recorder: None, ..*pool };
     let mut goals = pool.setup.catalog.of_split(Split::Train);

@@ -145,9 +145,6 @@ fn prepare(db: &mut Connection) -> rusqlite::Result<()> {
 }
 
 /// Checks that the database is a history of this version.
-///
-/// # Errors
-/// If it has a newer version, is not a history, or cannot be read.
 fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
     let pragma = |name: &str| db.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
     let failed = |error| HistoryError::Database { path: path.to_owned(), error };

@@ -222,9 +222,6 @@ pub(super) fn run_of(path: &Path) -> Option<RunPaths> {
 }
 
 /// Finds the blueprint with this id, or else the one with this title.
-///
-/// # Errors
-/// When there is none; the error contains the nearest id or title of the catalog.
 fn find<'c>(catalog: &'c Catalog, id: &str) -> Result<&'c Blueprint, Failure> {
     let found = id.parse::<BlueprintId>().ok().and_then(|id| catalog.get(&id));
     let titled = || catalog.iter().find(|blueprint| blueprint.title().eq_ignore_ascii_case(id));

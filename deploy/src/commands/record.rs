@@ -30,10 +30,6 @@ struct Recording<'a> {
 }
 
 /// Runs the episodes and writes each when it ends. After `shutdown`, the episodes that have ended are kept.
-///
-/// # Errors
-/// When the policy or the run's configuration cannot be read, the folder already exists, a file cannot be written, or
-/// `shutdown` came first.
 pub(super) async fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &CancellationToken) -> Result<(), Failure> {
     let overrides: Vec<Override> = args.set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>()?;
     Override::only_in(&["environment", "policy"], &overrides)?;

@@ -22,10 +22,6 @@ use crate::run_dir::check_exists;
 const REPORT: &str = "report";
 
 /// Runs the subcommand. Makes every table before it writes the first file.
-///
-/// # Errors
-/// When a history is missing, damaged, written by a newer version, or without evaluations of this action mode, the runs
-/// have no blueprint in common, or a file cannot be written.
 pub(super) fn run(args: &ReportArgs, terminal: &Terminal) -> Result<(), Failure> {
     let stdout = terminal;
     let terminal = &if args.json { terminal.on_stderr() } else { terminal.clone() };

@@ -25,9 +25,6 @@ pub(super) use results::Results;
 use results::RunResult;
 
 /// Runs the subcommand.
-///
-/// # Errors
-/// When the arguments are no sweep, the folder holds another one or cannot be written, or a run failed.
 pub(super) async fn run(args: &SweepArgs, terminal: &Terminal, shutdown: CancellationToken) -> Result<(), Failure> {
     let said = if args.json || args.slurm { terminal.on_stderr() } else { terminal.clone() };
     let (folder, plan) = match (&args.dir, &args.out) {

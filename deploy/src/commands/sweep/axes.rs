@@ -29,9 +29,6 @@ pub(super) type Point = Vec<(String, String)>;
 
 impl Axis {
     /// Parses `KEY=V1,V2,…`, `KEY=LOW..HIGH`, or `KEY=LOW..HIGH:log`.
-    ///
-    /// # Errors
-    /// Names the text and what is missing in it.
     pub(super) fn parse(text: &str) -> Result<Self, Failure> {
         let wrong = |why: &str| Failure::Usage(format!("--grid {text}: {why}"));
         let (key, values) = text.split_once('=').ok_or_else(|| wrong("expected KEY=VALUE,VALUE"))?;
@@ -107,9 +104,6 @@ fn split(text: &str) -> Vec<&str> {
 
 /// The points of a sweep: all combinations, the last axis fastest, or `n_random` draws. Without axes, there is one point
 /// without settings.
-///
-/// # Errors
-/// When a range is not drawn from, a key is there twice, or there are too many points.
 pub(super) fn points(axes: &[Axis], n_random: Option<usize>, seed: u64) -> Result<Vec<Point>, Failure> {
     let keys: Vec<&str> = axes.iter().map(|axis| axis.key.as_str()).collect();
     if let Some(twice) = keys.iter().enumerate().find(|(i, key)| keys[..*i].contains(key)) {

@@ -62,9 +62,6 @@ impl Run {
 
 impl Plan {
     /// Makes the plan that the arguments ask for; `None` if the configuration was to be printed instead.
-    ///
-    /// # Errors
-    /// Names the axis that cannot be read, or the key or value of a point that no training would take.
     pub(super) fn of(args: &SweepArgs, terminal: &crate::live::Terminal) -> Result<Option<Self>, Failure> {
         let Some(base) = crate::commands::common::configure(&args.config, None, flags(args), terminal)? else {
             return Ok(None);
