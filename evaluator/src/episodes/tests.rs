@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use blueprints::{Catalog, Split};
 use environment::EnvironmentConfig;
 use policy::PolicyConfig;
-use proto::{ActionMode, Valid, WeightsVersion};
+use proto::{ActionMode, Valid, Weights, WeightsVersion};
 
 use super::*;
 use crate::config::{EpisodeConfig, Starts};

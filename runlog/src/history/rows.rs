@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use blueprints::{BlueprintId, Split};
 use proto::metrics::{EvalBlueprint, EvalOutcome, EvalReport, EvalResetFree, EvalRuns, METRICS_SCHEMA_VERSION};
 use proto::wilson::SuccessRate;
-use proto::{ActionMode, InvalidActionMode, RewardTerms, WeightsVersion};
+use proto::{ActionMode, RewardTerms, WeightsVersion};
 use rusqlite::types::Type;
 use rusqlite::{Connection, Error, Result, Row, ToSql, TransactionBehavior, params, params_from_iter};
 
@@ -221,9 +221,7 @@ fn stored(acting: ActionMode) -> &'static str {
 }
 
 fn acting(row: &Row<'_>) -> Result<ActionMode> {
-    let is_stored =
-        |text: &str| [ActionMode::Greedy, ActionMode::Sampled].into_iter().find(|&mode| stored(mode) == text);
-    parsed(row, "acting", |text| is_stored(text).ok_or_else(|| InvalidActionMode(text.to_owned())))
+    parsed(row, "acting", |text| if text == stored(ActionMode::Greedy) { Ok(ActionMode::Greedy) } else { text.parse() })
 }
 
 /// Parses a text column.
