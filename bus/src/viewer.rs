@@ -5,7 +5,7 @@ use zenoh::pubsub::Subscriber;
 
 use super::{Bus, BusError};
 use proto::codec::decode_trajectory;
-use proto::{ActorId, Trajectory, keys};
+use proto::{Trajectory, keys};
 
 /// Maximum number of trajectories that wait for a viewer; a slow viewer misses the rest.
 const QUEUE: usize = 64;
@@ -19,15 +19,14 @@ pub struct TrajectoryViewer {
 }
 
 impl Bus {
-    /// Receives the trajectories of one actor, or of all. Actors send copies only while there are viewers.
+    /// Receives the trajectories of all actors, which send copies only while there are viewers.
     ///
     /// # Errors
     /// If the session is closed.
-    pub async fn trajectory_viewer(&self, actor: Option<&ActorId>) -> Result<TrajectoryViewer, BusError> {
-        let key = actor.map_or_else(|| keys::TRAJECTORIES_ALL.to_owned(), keys::trajectories);
+    pub async fn trajectory_viewer(&self) -> Result<TrajectoryViewer, BusError> {
         let (sender, trajectories) = mpsc::channel(QUEUE);
         let counts = self.counts.clone();
-        let declared = self.session.declare_subscriber(key.clone()).callback(move |sample| {
+        let declared = self.session.declare_subscriber(keys::TRAJECTORIES_ALL).callback(move |sample| {
             // Reserve a slot first: a trajectory that will be dropped need not be decoded.
             let Ok(slot) = sender.try_reserve() else {
                 counts.lock().viewed_dropped_total += 1;
@@ -38,7 +37,7 @@ impl Bus {
                 Err(_) => counts.lock().viewed_invalid_total += 1,
             }
         });
-        let subscriber = declared.await.map_err(BusError::during(format!("watching {key}")))?;
+        let subscriber = declared.await.map_err(BusError::during("watching trajectories"))?;
         Ok(TrajectoryViewer { trajectories, _subscriber: subscriber, _open: self.clone() })
     }
 }

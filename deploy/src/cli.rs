@@ -175,7 +175,7 @@ pub enum Command {
     /// For a Minari dataset for offline learning, use the Python package: `python -m lodestone.record`.
     #[command(after_help = examples::RECORD)]
     Record(RecordArgs),
-    /// Render recorded or live episodes as videos.
+    /// Render recorded episodes as videos.
     #[command(after_help = examples::RENDER)]
     Render(RenderArgs),
     /// List, check, and draw blueprints.

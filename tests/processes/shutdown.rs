@@ -44,14 +44,8 @@ fn whoever_waits_for_a_router_ends_with_a_signal() {
     let folder = tempfile::tempdir().unwrap();
     let silent = Silent::new();
     let endpoint = silent.endpoint();
-    let commands: [&[&str]; 6] = [
-        &["actor"],
-        &["learner", "--run-dir", "run"],
-        &["evaluator"],
-        &["render", "--out", "videos"],
-        &["watch", "--json"],
-        &["watch", "--once"],
-    ];
+    let commands: [&[&str]; 5] =
+        [&["actor"], &["learner", "--run-dir", "run"], &["evaluator"], &["watch", "--json"], &["watch", "--once"]];
     let mut waiting: Vec<Process> = Vec::new();
     let mut connections = Vec::new();
     for command in commands {

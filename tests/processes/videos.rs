@@ -1,4 +1,4 @@
-//! Videos of a training, of its recordings, of a running actor, and of what a network attends to.
+//! Videos of a training, of its recordings, and of what a network attends to.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -37,21 +37,15 @@ fn n_steps(printed: &Output, name: &str) -> u64 {
 fn a_training_is_recorded_while_it_runs_and_can_be_shown_again() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
-    let endpoint = format!("unixsock-stream/{}", folder.path().join("bus.sock").display());
     let mut training = lodestone(folder.path());
-    training.args(["train", "--preset", "smoke", "--run-dir", "run", "--listen", &endpoint]);
-    training.args(["--steps", "1000000000"]).args(SMALL).args(EVALUATED).env("RUST_LOG", "evaluator=debug");
+    training.args(["train", "--preset", "smoke", "--run-dir", "run", "--steps", "1000000000"]);
+    training.args(SMALL).args(EVALUATED).env("RUST_LOG", "evaluator=debug");
     let mut training = Process(training.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = lines(training.0.stderr.take().unwrap());
     let is_recorded = lines.any(|line| line.contains("a video of an evaluation"));
     assert!(is_recorded, "the first pass has an end, whatever it is");
     // A full pipe would block the program, so keep reading its log.
     let rest = std::thread::spawn(move || lines.count());
-
-    let watched = ["render", "--connect", &endpoint, "--run", "smoke", "--actor", "local", "--out", "live"];
-    finished(lodestone(folder.path()).args(watched).args(["--format", "png-strip", "--timeout", "120"]));
-    let [live] = files(&folder.path().join("live")).try_into().unwrap();
-    assert!(live.file_name().unwrap().to_str().unwrap().starts_with("local-01-5_001-"), "{live:?}");
 
     kill("-TERM", training.0.id());
     assert!(training.0.wait().unwrap().success());
@@ -100,8 +94,6 @@ fn what_cannot_be_shown_is_said() {
         (&["render", "other", "--out", "videos"], 66, "no folder of a run"),
         (&["render", "empty", "--out", "videos", "--attention", "gone"], 66, "gone"),
         (&["render", "--out", "videos"], 2, "<FILE_OR_RUN>"),
-        (&["render", "empty", "--connect", "tcp/127.0.0.1:1", "--out", "videos"], 2, "--connect"),
-        (&["render", "--connect", "unixsock-stream//gone/bus.sock", "--timeout", "1", "--out", "videos"], 65, "gone"),
     ] {
         refused(lodestone(folder.path()).args(args), code, &[words]);
     }

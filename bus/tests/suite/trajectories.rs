@@ -36,7 +36,7 @@ async fn viewer_gets_copies() {
     assert!(!*viewers.borrow());
     within("an ack", sender.send(&samples::running("a", 0))).await.unwrap();
 
-    let mut viewer = cluster.client().await.trajectory_viewer(Some(&"a".parse().unwrap())).await.unwrap();
+    let mut viewer = cluster.client().await.trajectory_viewer().await.unwrap();
     until("a viewer", &mut viewers, |there| *there).await;
     let sent = samples::successful("a", 1);
     within("an ack", sender.send(&sent)).await.unwrap();

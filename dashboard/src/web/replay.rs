@@ -117,7 +117,7 @@ impl Replays {
     pub(super) async fn run(self: Arc<Self>, bus: Bus, shutdown: CancellationToken) {
         while shutdown.run_until_cancelled(self.wanted.notified()).await.is_some() {
             let watched = async {
-                let mut viewer = bus.trajectory_viewer(None).await.ok()?;
+                let mut viewer = bus.trajectory_viewer().await.ok()?;
                 let mut collector = Collector::default();
                 let episode = async {
                     loop {

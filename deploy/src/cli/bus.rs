@@ -25,7 +25,7 @@ pub struct EndpointArgs {
 #[derive(Clone, Debug, Default, Args)]
 pub struct KeysArgs {
     /// Folder of keys made by `lodestone keys new`: the whole folder, or that of this process's role (`watch` has the
-    /// role viewer, `render` the role evaluator).
+    /// role viewer).
     #[arg(long, value_name = "DIR", env = "LODESTONE_KEYS", value_parser = values::text_path())]
     pub(crate) keys: Option<PathBuf>,
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
-use proto::{ActionMode, ActorId};
+use proto::ActionMode;
 use render::video::{MAX_FPS, MAX_WIDTH, MIN_WIDTH};
 
 use super::KeysArgs;
@@ -85,7 +85,7 @@ pub struct ReportArgs {
 pub struct RenderArgs {
     /// Recorded trajectories, for example from `record`; segments of one episode become one video. For
     /// the folder of a run, all recordings of its evaluator.
-    #[arg(value_name = "FILE_OR_RUN", required_unless_present = "connect")]
+    #[arg(value_name = "FILE_OR_RUN", required = true)]
     pub(crate) files: Vec<PathBuf>,
     /// Folder for the output; created if it does not exist.
     #[arg(long, value_name = "DIR")]
@@ -108,26 +108,8 @@ pub struct RenderArgs {
     #[arg(long, value_name = "DIR")]
     pub(crate) attention: Option<PathBuf>,
     /// Print what each head attends to, averaged over all scenes of all files, and write it to attention.csv; no videos.
-    #[arg(long, requires = "attention", conflicts_with_all = ["format", "fps", "width", "connect"])]
+    #[arg(long, requires = "attention", conflicts_with_all = ["format", "fps", "width"])]
     pub(crate) table: bool,
-    /// Watch the actors of a running training instead, through the router at this endpoint; may be repeated.
-    #[arg(long, value_name = "ENDPOINT", value_delimiter = ',', value_parser = endpoint, conflicts_with = "files")]
-    pub(crate) connect: Vec<String>,
-    /// Name of the run; unless set, a run is named after its preset.
-    #[arg(long, value_name = "NAME", default_value = "quickstart", requires = "connect")]
-    pub(crate) run: String,
-    /// Keys; those of the role evaluator are used, because viewers may not read trajectories.
-    #[command(flatten)]
-    pub(crate) keys: KeysArgs,
-    /// Only this actor.
-    #[arg(long, value_name = "ID", requires = "connect")]
-    pub(crate) actor: Option<ActorId>,
-    /// Episodes to wait for.
-    #[arg(long, value_name = "N", default_value_t = 1, requires = "connect", value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub(crate) episodes: u32,
-    /// Timeout for each episode in seconds.
-    #[arg(long, value_name = "S", default_value_t = 60, requires = "connect", value_parser = clap::value_parser!(u64).range(1..=86_400))]
-    pub(crate) timeout: u64,
 }
 
 /// Output format of `render`.

@@ -43,8 +43,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
     match command {
         Command::Blueprints(command) => blueprints::run(&command, terminal),
         Command::Record(args) => on_runtime(async |shutdown| record::run(&args, terminal, &shutdown).await),
-        Command::Render(args) if args.connect.is_empty() => render::run(&args, terminal),
-        Command::Render(args) => on_runtime(async |shutdown| render::run_live(&args, terminal, shutdown).await),
+        Command::Render(args) => render::run(&args, terminal),
         Command::Completions { shell } => {
             completions::completions(shell, terminal);
             Ok(())

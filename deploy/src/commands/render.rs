@@ -1,6 +1,5 @@
-//! `render`: makes videos of recorded trajectories, of a run's recordings, and of the episodes of running actors.
+//! `render`: makes videos of recorded trajectories, and of a run's recordings.
 
-mod live;
 mod recordings;
 mod shares;
 
@@ -15,8 +14,6 @@ use crate::cli::{RenderArgs, VideoFormat};
 use crate::exit::Failure;
 use crate::live::Terminal;
 
-pub(super) use live::run as run_live;
-use recordings::Named;
 use shares::attention;
 
 /// Scenes in a strip, which fill two rows together with the goal, and scenes in an attention strip.
@@ -34,26 +31,9 @@ pub(super) fn run(args: &RenderArgs, terminal: &Terminal) -> Result<(), Failure>
     if let Some(policy) = policy.as_ref().filter(|_| args.table) {
         return shares::write(&episodes, policy, args, terminal);
     }
-    make_all(&episodes, args, policy.as_ref(), terminal)
-}
-
-/// The policy whose attention is shown.
-fn policy(args: &RenderArgs) -> Result<Option<Policy>, Failure> {
-    let Some(path) = &args.attention else { return Ok(None) };
-    let model = Source::read(path)?.model;
-    let policy = Policy::with_weights(&model.policy, &model.weights);
-    Ok(Some(policy.map_err(|error| Failure::Checkpoint(error.into()))?))
-}
-
-fn make_all(
-    episodes: &[Named],
-    args: &RenderArgs,
-    policy: Option<&Policy>,
-    terminal: &Terminal,
-) -> Result<(), Failure> {
-    for (name, episode) in episodes {
+    for (name, episode) in &episodes {
         let making = || format!("making a video of {}", name.display());
-        let attention = policy.map(|policy| attention(policy, name, episode)).transpose()?;
+        let attention = policy.as_ref().map(|policy| attention(policy, name, episode)).transpose()?;
         let (ending, bytes) = make(episode, attention.as_ref(), args).with_context(making)?;
         let mut name = name.clone();
         name.push(format!("{}.{ending}", if policy.is_some() { "-attention" } else { "" }));
@@ -63,6 +43,14 @@ fn make_all(
         terminal.print(&format!("{}: {} steps, {n_kb} kB", path.display(), episode.n_steps()));
     }
     Ok(())
+}
+
+/// The policy whose attention is shown.
+fn policy(args: &RenderArgs) -> Result<Option<Policy>, Failure> {
+    let Some(path) = &args.attention else { return Ok(None) };
+    let model = Source::read(path)?.model;
+    let policy = Policy::with_weights(&model.policy, &model.weights);
+    Ok(Some(policy.map_err(|error| Failure::Checkpoint(error.into()))?))
 }
 
 /// Renders an episode, or what a network attends to in it. Returns the extension of the file name and the file's bytes.

@@ -25,7 +25,7 @@ pub(super) fn goals_of(args: &RenderArgs) -> Result<Goals, Failure> {
     Goals::open_beside(&args.blueprint, args.files.first().map(PathBuf::as_path))
 }
 
-pub(super) fn is_shown(goals: &Goals, id: &BlueprintId) -> bool {
+fn is_shown(goals: &Goals, id: &BlueprintId) -> bool {
     goals.ids.is_empty() || goals.ids.contains(id)
 }
 
