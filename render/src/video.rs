@@ -1,6 +1,6 @@
 //! Videos of episodes: trajectories → frames → bytes of a file, with no I/O and no clock.
 //!
-//! Reading order: `collect` (incoming segments) → `episode` (segments → one episode) → `stage` (an episode seen through
+//! Reading order: `collect` (segments → whole trajectories) → `episode` (one to show) → `stage` (an episode seen through
 //! a camera that follows the construction) → `video` (frames with the goal and the score next to the world) → `mp4` and
 //! `gif` (frames → bytes) → `strip` (an episode as one picture) → `attention` and `heads` (a policy's attention in an
 //! episode).
@@ -19,7 +19,7 @@ mod tests;
 
 pub use attention::{AttentionError, EpisodeAttention, Shares};
 pub use collect::Collector;
-pub use episode::{Episode, EpisodeError, STEP_S, is_same_episode};
+pub use episode::{Episode, OtherGoal, STEP_S};
 pub use frames::{LAST_S, MAX_WIDTH, MIN_WIDTH, Video};
 pub use gif::{MAX_GIF_FPS, gif};
 pub use heads::{AttentionVideo, attention_strip};

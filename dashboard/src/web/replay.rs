@@ -95,14 +95,14 @@ impl Replays {
     }
 
     /// Returns the JSON of a recorded episode whose goal is in the catalog; `None` if it cannot be shown.
-    pub(super) fn show_known(&self, segments: &[Trajectory]) -> Option<Bytes> {
-        self.show(segments, self.catalog.get(&segments.first()?.task.blueprint)?)
+    pub(super) fn show_known(&self, recording: &Trajectory) -> Option<Bytes> {
+        self.show(recording, self.catalog.get(&recording.task.blueprint)?)
     }
 
     /// Returns the JSON of a recorded episode with this goal; `None` if it cannot be shown. Takes around ten
     /// milliseconds.
-    pub(super) fn show(&self, segments: &[Trajectory], goal: &Blueprint) -> Option<Bytes> {
-        let view = view(segments, goal, |episode| self.observer.look(episode))?;
+    pub(super) fn show(&self, recording: &Trajectory, goal: &Blueprint) -> Option<Bytes> {
+        let view = view(recording, goal, |episode| self.observer.look(episode))?;
         let json = serde_json::to_vec(&view);
         Some(json.inspect_err(|error| tracing::debug!(%error, "an episode could not be shown")).ok()?.into())
     }
@@ -128,9 +128,9 @@ impl Replays {
                 };
                 tokio::time::timeout(PATIENCE, episode).await.ok()?
             };
-            let Some(segments) = shutdown.run_until_cancelled(watched).await else { return };
+            let Some(recording) = shutdown.run_until_cancelled(watched).await else { return };
             let replays = self.clone();
-            let json = tokio::task::spawn_blocking(move || replays.show_known(&segments?)).await;
+            let json = tokio::task::spawn_blocking(move || replays.show_known(&recording?)).await;
             match json.ok().flatten() {
                 Some(json) => *self.newest.lock() = Some(json),
                 None => tracing::debug!("no episode was recorded"),
@@ -139,26 +139,25 @@ impl Replays {
     }
 }
 
-/// Returns `None` for an episode that has another goal or gaps.
+/// Returns `None` for an episode that has another goal.
 fn view(
-    segments: &[Trajectory],
+    recording: &Trajectory,
     goal: &Blueprint,
     look: impl FnOnce(&Episode) -> Option<AttentionView>,
 ) -> Option<ReplayView> {
-    let first = segments.first()?;
-    let episode = Episode::new(segments, goal).ok()?;
+    let episode = Episode::new(recording, goal).ok()?;
     let inventory = Inventory::standard();
     let places = episode.goal().placements().iter().map(|placement| {
         let turn = placement.rotation.quaternion();
         (placement.block.get(), pose(placement.position_m().into(), turn.coords.into()))
     });
     let scenes = episode.scenes().iter().enumerate();
-    let steps = segments.iter().flat_map(|segment| (usize::from(segment.first_step)..).zip(&segment.transitions));
+    let steps = (episode.first_step()..).zip(&recording.transitions);
     Some(ReplayView {
         schema_version: SCHEMA_VERSION,
-        actor: first.actor.to_string(),
-        weights_version: first.weights_version.0,
-        blueprint: first.task.blueprint.to_string(),
+        actor: recording.actor.to_string(),
+        weights_version: recording.weights_version.0,
+        blueprint: recording.task.blueprint.to_string(),
         title: goal.title().to_owned(),
         end: match episode.status() {
             Status::Success => "success",

@@ -179,7 +179,7 @@ async fn recording(
     RawQuery(query): RawQuery,
 ) -> Response {
     let asked = id_of(query);
-    let answer = tokio::task::spawn_blocking(move || replays.show_known(&[videos.recording(&asked)?])).await;
+    let answer = tokio::task::spawn_blocking(move || replays.show_known(&videos.recording(&asked)?)).await;
     found("application/json", answer)
 }
 

@@ -283,9 +283,9 @@ impl Form {
     /// Returns the episode in this form; `None` if there is nothing to show.
     fn of(&self, episode: Trajectory, goal: &Blueprint) -> Option<Bytes> {
         match self {
-            Self::Replay(replays) => replays.show(&[episode], goal),
+            Self::Replay(replays) => replays.show(&episode, goal),
             Self::Video => {
-                let episode = Episode::new(&[episode], goal).ok()?;
+                let episode = Episode::new(&episode, goal).ok()?;
                 mp4(Video::new(&episode, VIDEO_PX).frames(VIDEO_FPS), VIDEO_FPS).ok().map(Bytes::from)
             }
         }

@@ -12,7 +12,7 @@ use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
 use super::events::MAX_VIEWERS;
-use super::replay::tests::segment;
+use super::replay::tests::recording;
 use super::server::MAX_CONNECTIONS;
 use super::*;
 use crate::config::Token;
@@ -53,7 +53,7 @@ async fn serve(token: Option<&str>) -> Served {
     let farewell = Farewell { ended: "the run", command: Some("a command".to_owned()) };
     let about = About { farewell, ..about(Kind::Training, "r", 5000, Catalog::builtin().clone()) };
     let stage = Stage::new(None, |order, _| match order.builder {
-        Builder::Expert => Ok(segment(0..3)),
+        Builder::Expert => Ok(recording()),
         Builder::Policy => Err(StageError::NoWeights),
     });
     let source = Source {
@@ -446,7 +446,7 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
     assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
-    let recording = encode_recording(&segment(0..3));
+    let recording = encode_recording(&recording());
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
     let answer = json_of(&served.get("/api/recording?id=2_000.7.success.1").await);
     assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));

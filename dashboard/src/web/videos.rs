@@ -57,7 +57,7 @@ impl Videos {
     pub(super) fn poster(&self, catalog: &Catalog, asked: &str) -> Option<Vec<u8>> {
         let recording = self.recording(asked)?;
         let goal = catalog.get(&recording.task.blueprint)?;
-        let episode = Episode::new(&[recording], goal).ok()?;
+        let episode = Episode::new(&recording, goal).ok()?;
         let frame = Video::new(&episode, POSTER_PX).frame(episode.length_s() + LAST_S);
         encode(&frame, N_COLORS).ok()
     }

@@ -83,8 +83,7 @@ pub struct ReportArgs {
 /// Arguments of `render`.
 #[derive(Debug, Args)]
 pub struct RenderArgs {
-    /// Recorded trajectories, for example from `record`; segments of one episode become one video. For
-    /// the folder of a run, all recordings of its evaluator.
+    /// Recorded trajectories, for example from `record`. For the folder of a run, all recordings of its evaluator.
     #[arg(value_name = "FILE_OR_RUN", required = true)]
     pub(crate) files: Vec<PathBuf>,
     /// Folder for the output; created if it does not exist.

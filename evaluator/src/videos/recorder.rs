@@ -103,7 +103,7 @@ impl Files {
             return Ok(Made::RecordingOnly);
         }
         let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
-        let episode = Episode::new(std::slice::from_ref(segment), goal)?;
+        let episode = Episode::new(segment, goal)?;
         let video = mp4(Video::new(&episode, WIDTH_PX).frames(FPS), FPS)?;
         let path = self.videos.put(id, label, &video).context("keeping the video")?;
         tracing::debug!(path = %path.display(), "a video of an evaluation");

@@ -56,7 +56,7 @@ fn the_first_failure_of_a_group_becomes_a_video_and_the_report_is_as_without() {
     let replay = dir.path().join("replays").join(&folder).join("00000002-failure.trajectory");
     let segment = decode_recording(&fs::read(replay).unwrap()).unwrap();
     assert_eq!((segment.transitions.len(), segment.weights_version), (8, weights().version));
-    render::video::Episode::new(&[segment], goal).unwrap();
+    render::video::Episode::new(&segment, goal).unwrap();
 }
 
 /// Plays an episode of one step with this end; returns whether it was recorded.

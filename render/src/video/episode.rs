@@ -1,4 +1,4 @@
-//! Joins the segments of a trajectory into one episode.
+//! An episode, or a part of it, from its recording.
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, N_BLOCKS};
 use nalgebra::{UnitQuaternion, Vector3};
@@ -19,78 +19,35 @@ pub struct Episode {
     status: Status,
 }
 
-/// Reasons why segments do not form an episode.
+/// The given blueprint is not the goal of the trajectory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum EpisodeError {
-    /// No segment was given.
-    #[error("an episode needs at least one segment")]
-    Empty,
-    /// A segment has a different actor, process, or task than the first one.
-    #[error("the segment from step {first_step} on is of another episode")]
-    OtherEpisode {
-        /// Its first step.
-        first_step: usize,
-    },
-    /// The given goal is not that of the segments.
-    #[error("the goal is {expected}, not {given}")]
-    OtherGoal {
-        /// The segments' goal.
-        expected: BlueprintId,
-        /// The given blueprint.
-        given: BlueprintId,
-    },
-    /// Steps are missing or duplicate.
-    #[error("a segment begins at step {found} where step {expected} comes next")]
-    Gap {
-        /// The step after the previous segments.
-        expected: usize,
-        /// The segment's first step.
-        found: usize,
-    },
-}
-
-/// Returns whether two segments belong to the same episode: same actor process and same task.
-pub fn is_same_episode(a: &Trajectory, b: &Trajectory) -> bool {
-    (&a.actor, a.epoch, &a.task) == (&b.actor, b.epoch, &b.task)
+#[error("the goal is {expected}, not {given}")]
+pub struct OtherGoal {
+    expected: BlueprintId,
+    given: BlueprintId,
 }
 
 impl Episode {
-    /// Builds the episode of these segments, in any order; `goal` is its blueprint from the catalog.
+    /// Takes the episode from its recording; `goal` is its blueprint from the catalog.
     ///
     /// # Errors
-    /// Returns an error if there is no segment, one belongs to another episode, the goal differs, or steps are missing
-    /// or duplicate.
-    pub fn new(segments: &[Trajectory], goal: &Blueprint) -> Result<Self, EpisodeError> {
-        let mut ordered: Vec<&Trajectory> = segments.iter().collect();
-        ordered.sort_by_key(|segment| segment.first_step);
-        let (Some(first), Some(last)) = (ordered.first(), ordered.last()) else { return Err(EpisodeError::Empty) };
-        if first.task.blueprint != *goal.id() {
-            let expected = first.task.blueprint.clone();
-            let given = goal.id().clone();
-            return Err(EpisodeError::OtherGoal { expected, given });
+    /// Returns an error if `goal` is another blueprint.
+    pub fn new(recording: &Trajectory, goal: &Blueprint) -> Result<Self, OtherGoal> {
+        let Trajectory { task, first_step, transitions, last_scene, status, .. } = recording;
+        if task.blueprint != *goal.id() {
+            return Err(OtherGoal { expected: task.blueprint.clone(), given: goal.id().clone() });
         }
-        let first_step = usize::from(first.first_step);
         let mut scenes = Vec::new();
         let mut returns = vec![RewardTerms::default()];
         let mut so_far = RewardTerms::default();
-        for segment in &ordered {
-            let found = usize::from(segment.first_step);
-            let expected = first_step + scenes.len();
-            if !is_same_episode(first, segment) {
-                return Err(EpisodeError::OtherEpisode { first_step: found });
-            }
-            if found != expected {
-                return Err(EpisodeError::Gap { expected, found });
-            }
-            for transition in &segment.transitions {
-                scenes.push(transition.scene.clone());
-                so_far = so_far + transition.reward;
-                returns.push(so_far);
-            }
+        for transition in transitions {
+            scenes.push(transition.scene.clone());
+            so_far = so_far + transition.reward;
+            returns.push(so_far);
         }
-        scenes.push(last.last_scene.clone());
-        let goal = goal.permuted(&first.task.assignment);
-        Ok(Self { goal, first_step, scenes, returns, status: last.status })
+        scenes.push(last_scene.clone());
+        let goal = goal.permuted(&task.assignment);
+        Ok(Self { goal, first_step: usize::from(*first_step), scenes, returns, status: *status })
     }
 
     /// Returns the goal with the blocks of this episode.

@@ -221,7 +221,7 @@ mod tests {
         whole.transitions =
             (0..n_steps).map(|n_done| proto::Transition { scene: scene(n_done), ..step.clone() }).collect();
         whole.last_scene = scene(n_steps);
-        Episode::new(&[whole], goal()).unwrap()
+        Episode::new(&whole, goal()).unwrap()
     }
 
     /// Smallest and largest pixel coordinates of all corners, from the left and from the top.
@@ -281,7 +281,7 @@ mod tests {
         segment.last_scene.grippers[0].as_mut().unwrap().held = None;
         segment.last_scene.blocks[a.get()].position = [5.0, 0.0, 0.05];
         let far = |segment: &Trajectory| {
-            let episode = Episode::new(std::slice::from_ref(segment), pair).unwrap();
+            let episode = Episode::new(segment, pair).unwrap();
             framed(&episode, episode.n_steps()).iter().map(|block| block.block).collect::<Vec<_>>()
         };
         // The median of two values is the larger one.

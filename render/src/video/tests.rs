@@ -60,7 +60,7 @@ pub(super) fn segment(first: u16, last: u16) -> Trajectory {
 }
 
 fn episode() -> Episode {
-    Episode::new(&[segment(0, 4)], goal()).unwrap()
+    Episode::new(&segment(0, 4), goal()).unwrap()
 }
 
 /// Mean column of the pixels of a color in the left 70 % of an image.
@@ -76,18 +76,10 @@ fn mean_column(image: &Image, color: Rgb) -> f32 {
 }
 
 #[test]
-fn segments_in_any_order_form_the_episode() {
-    assert_eq!(Episode::new(&[segment(2, 4), segment(0, 2)], goal()).unwrap(), episode());
+fn an_episode_has_its_own_goal() {
     assert_eq!(episode().return_after(episode().n_done(0.25)).total(), 2.0);
-    let refused = |segments: &[Trajectory]| Episode::new(segments, goal()).unwrap_err();
-    assert_eq!(refused(&[]), EpisodeError::Empty);
-    assert_eq!(refused(&[segment(0, 2), segment(3, 4)]), EpisodeError::Gap { expected: 2, found: 3 });
-    assert_eq!(refused(&[segment(0, 3), segment(2, 4)]), EpisodeError::Gap { expected: 3, found: 2 });
-    let mut other = segment(2, 4);
-    other.task.seed = 2;
-    assert_eq!(refused(&[segment(0, 2), other]), EpisodeError::OtherEpisode { first_step: 2 });
     let another = Catalog::builtin().iter().nth(1).unwrap();
-    let error = Episode::new(&[segment(0, 4)], another).unwrap_err();
+    let error = Episode::new(&segment(0, 4), another).unwrap_err();
     assert!(error.to_string().contains(another.id().as_str()), "{error}");
 }
 

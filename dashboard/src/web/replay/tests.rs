@@ -1,20 +1,17 @@
 //! A replay worked out by hand.
 
-use std::ops::Range;
-
 use proto::{Action, EpisodeStats, Gripper, Pose, RewardTerms, Start, Task, Transition, WeightsVersion};
 
 use super::*;
 
-/// These steps of an episode of three, which succeeds.
-pub(crate) fn segment(steps: Range<u16>) -> Trajectory {
+/// An episode of three steps, which succeeds.
+pub(crate) fn recording() -> Trajectory {
     let scene = |step: u16| {
         let pose = Pose { position: [0.0, 0.123_456, step.into()], orientation: [0.0, 0.0, 0.0, 1.0] };
         let grippers = [Some(Gripper { held: BlockIdx::all().nth(3), ..Gripper::IDLE }), Some(Gripper::IDLE)];
         Scene { grippers, ..Scene::at_rest([pose; 16]) }
     };
     let reward = RewardTerms { connected: 0.5, ..RewardTerms::default() };
-    let ends = steps.end == 3;
     let transition = |step: u16| Transition {
         scene: scene(step),
         action: Action { choices: [BlockIdx::all().next(); 2], moves: [[0.0; 6]; 16] },
@@ -36,19 +33,19 @@ pub(crate) fn segment(steps: Range<u16>) -> Trajectory {
             seed: 2,
         },
         behavior_policy: proto::BehaviorPolicy::Sampled,
-        first_step: steps.start,
-        transitions: steps.clone().map(transition).collect(),
-        last_scene: scene(steps.end),
-        status: if ends { Status::Success } else { Status::Running },
-        episode_stats: ends.then_some(EpisodeStats { success: true, n_steps: 3, episode_return: reward }),
+        first_step: 0,
+        transitions: (0..3).map(transition).collect(),
+        last_scene: scene(3),
+        status: Status::Success,
+        episode_stats: Some(EpisodeStats { success: true, n_steps: 3, episode_return: reward }),
     }
 }
 
 #[test]
 fn a_hand_worked_replay() {
-    let segments = [segment(0..2), segment(2..3)];
+    let recording = recording();
     let goal = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
-    let json = serde_json::to_value(view(&segments, goal, |_| None).unwrap()).unwrap();
+    let json = serde_json::to_value(view(&recording, goal, |_| None).unwrap()).unwrap();
     assert_eq!(
         (&json["blueprint"], &json["end"], &json["weights_version"]),
         (&"2_000".into(), &"success".into(), &7.into())
@@ -62,7 +59,7 @@ fn a_hand_worked_replay() {
     assert_eq!(scenes[3]["reward_terms"]["wrong"], 0.0);
     // Nothing is connected, so the block that is placed first determines the goal's frame; here it stands as in the
     // goal.
-    let frame = goal_frame(goal, &segments[0].transitions[0].scene);
+    let frame = goal_frame(goal, &recording.transitions[0].scene);
     let placement = goal.placements().iter().find(|p| goal.rank(p.block) == Some(0)).unwrap();
     let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
     let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);

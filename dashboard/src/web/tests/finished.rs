@@ -8,7 +8,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
     // The second run has a goal of its own, and a video of it.
     let text = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap().to_toml("a test").replace("2_000", "mine");
     let own = Arc::new(Catalog::builtin().with(&Catalog::from_files([("mine.toml", text.as_str())]).unwrap()));
-    let mut recorded = segment(0..3);
+    let mut recorded = recording();
     recorded.task.blueprint = "mine".parse().unwrap();
     for (folder, file, bytes) in [
         ("videos/mine", "00000007-success.mp4", b"the video".to_vec()),
