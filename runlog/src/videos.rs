@@ -50,32 +50,31 @@ pub struct VideoName {
     pub version: WeightsVersion,
     /// The outcome of the episode.
     pub ending: Ending,
-    /// Number among videos of the same version and ending, from 1; the file name omits a 1.
-    pub number: u32,
 }
 
 impl VideoName {
     /// Returns the file name without the extension; the names of a blueprint sort by version.
     pub fn name(&self) -> String {
-        let version = self.version.0;
-        let ending = self.ending.name();
-        match self.number {
-            0 | 1 => format!("{version:08}-{ending}"),
-            number => format!("{version:08}-{ending}-{number}"),
-        }
+        format!("{:08}-{}", self.version.0, self.ending.name())
     }
 
-    /// Parses a [`name`](Self::name) with the extension `kind`; returns `None` for foreign files.
-    fn of(file: &str, kind: &str) -> Option<Self> {
-        let name = file.strip_suffix(kind)?.strip_suffix('.')?;
-        let mut parts = name.splitn(3, '-');
-        let version = WeightsVersion(parts.next()?.parse().ok()?);
-        let ending = parts.next()?;
-        let ending = Ending::ALL.into_iter().find(|known| known.name() == ending)?;
-        let number = parts.next().map_or(Some(1), |number| number.parse().ok())?;
-        let label = Self { version, ending, number };
-        (label.name() == name).then_some(label)
+    fn file(&self, kind: &str) -> String {
+        format!("{}.{kind}", self.name())
     }
+
+    /// Parses a file name with the extension `kind`; returns `None` for foreign files.
+    fn of(file: &str, kind: &str) -> Option<Self> {
+        let (version, ending) = file.strip_suffix(kind)?.strip_suffix('.')?.split_once('-')?;
+        let ending = Ending::ALL.into_iter().find(|known| known.name() == ending)?;
+        let label = Self { version: WeightsVersion(version.parse().ok()?), ending };
+        (label.file(kind) == file).then_some(label)
+    }
+}
+
+/// Returns the videos of a kind in the folder of a blueprint, without foreign files.
+fn labels(folder: &Path, kind: &str) -> io::Result<Vec<VideoName>> {
+    let entries = fs::read_dir(folder)?.collect::<io::Result<Vec<_>>>()?;
+    Ok(entries.iter().filter_map(|entry| VideoName::of(entry.file_name().to_str()?, kind)).collect())
 }
 
 impl VideoStore {
@@ -87,27 +86,16 @@ impl VideoStore {
     pub fn put(&self, blueprint: &BlueprintId, label: VideoName, bytes: &[u8]) -> io::Result<PathBuf> {
         let folder = self.folder.join(blueprint.as_str());
         fs::create_dir_all(&folder)?;
-        let name = label.name();
-        let kind = self.kind;
-        let (path, part) = (folder.join(format!("{name}.{kind}")), folder.join(format!(".{name}.{kind}.part")));
+        let name = label.file(self.kind);
+        let (path, part) = (folder.join(&name), folder.join(format!(".{name}.part")));
         fs::write(&part, bytes)?;
         fs::rename(&part, &path)?;
-        self.remove_old(&folder, label)?;
-        Ok(path)
-    }
-
-    fn remove_old(&self, folder: &Path, newest: VideoName) -> io::Result<()> {
-        let mut found = Vec::new();
-        for entry in fs::read_dir(folder)? {
-            let name = entry?.file_name();
-            let label = name.to_str().and_then(|name| VideoName::of(name, self.kind));
-            found.extend(label.filter(|label| label.ending == newest.ending));
-        }
-        found.sort_unstable_by_key(|&label| (label.version <= newest.version, label));
+        let mut found = labels(&folder, self.kind)?;
+        found.retain(|other| other.ending == label.ending);
+        found.sort_unstable_by_key(|&other| (other.version <= label.version, other));
         let n_old = found.len().saturating_sub(self.keep);
-        found[..n_old]
-            .iter()
-            .try_for_each(|label| fs::remove_file(folder.join(format!("{}.{}", label.name(), self.kind))))
+        found[..n_old].iter().try_for_each(|old| fs::remove_file(folder.join(old.file(self.kind))))?;
+        Ok(path)
     }
 }
 
@@ -125,20 +113,17 @@ pub struct VideoFile {
 /// Returns the videos of a kind (a file extension) in a folder, newest first, without foreign files; empty if the folder
 /// cannot be read.
 pub fn videos(folder: &Path, kind: &str) -> Vec<VideoFile> {
-    let names = |folder: &Path| {
-        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-        entries.filter_map(|entry| entry.file_name().into_string().ok()).collect::<Vec<_>>()
-    };
     let mut found = Vec::new();
-    for blueprint in names(folder).into_iter().filter_map(|name| BlueprintId::try_from(name).ok()) {
-        let own = folder.join(blueprint.as_str());
-        for name in names(&own) {
-            let Some(label) = VideoName::of(&name, kind) else { continue };
-            found.push(VideoFile { path: own.join(&name), blueprint: blueprint.clone(), label });
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let Some(blueprint) = entry.file_name().to_str().and_then(|name| name.parse::<BlueprintId>().ok()) else {
+            continue;
+        };
+        for label in labels(&entry.path(), kind).unwrap_or_default() {
+            found.push(VideoFile { path: entry.path().join(label.file(kind)), blueprint: blueprint.clone(), label });
         }
     }
     found.sort_by_key(|VideoFile { blueprint, label, .. }| {
-        (std::cmp::Reverse(label.version), blueprint.clone(), label.ending.name(), label.number)
+        (std::cmp::Reverse(label.version), blueprint.clone(), label.ending.name())
     });
     found
 }
@@ -147,17 +132,17 @@ pub fn videos(folder: &Path, kind: &str) -> Vec<VideoFile> {
 mod tests {
     use super::*;
 
-    fn label(version: u64, ending: Ending, number: u32) -> VideoName {
-        VideoName { version: WeightsVersion(version), ending, number }
+    fn label(version: u64, ending: Ending) -> VideoName {
+        VideoName { version: WeightsVersion(version), ending }
     }
 
     #[test]
     fn clip_name_round_trips_and_foreign_names_are_rejected() {
-        for expected in [label(7, Ending::Success, 1), label(123_456_789, Ending::Failure, 3)] {
+        for expected in [label(7, Ending::Success), label(123_456_789, Ending::Failure)] {
             assert_eq!(VideoName::of(&format!("{}.mp4", expected.name()), "mp4"), Some(expected));
         }
-        assert_eq!(label(7, Ending::Success, 1).name(), "00000007-success");
-        for foreign in ["7-success", "00000007-best", "00000007-success-1", "00000007-success-x", "mine", "00000007"] {
+        assert_eq!(label(7, Ending::Success).name(), "00000007-success");
+        for foreign in ["7-success", "00000007-best", "00000007-success-1", "mine", "00000007"] {
             assert_eq!(VideoName::of(&format!("{foreign}.mp4"), "mp4"), None, "{foreign}");
         }
     }
@@ -173,9 +158,9 @@ mod tests {
             fs::write(folder.join(foreign), "").unwrap();
         }
         for version in [1, 2, 3] {
-            store.put(&blueprint, label(version, Ending::Success, 1), b"video").unwrap();
+            store.put(&blueprint, label(version, Ending::Success), b"video").unwrap();
         }
-        store.put(&blueprint, label(1, Ending::Failure, 1), b"video").unwrap();
+        store.put(&blueprint, label(1, Ending::Failure), b"video").unwrap();
         let mut names: Vec<String> =
             fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
@@ -184,7 +169,7 @@ mod tests {
         // The page shows only our own videos, newest first.
         let shown: Vec<_> = videos(dir.path(), "mp4").into_iter().map(|video| video.label).collect();
         let expected = [(3, Ending::Success), (2, Ending::Success), (1, Ending::Failure)];
-        assert_eq!(shown, expected.map(|(version, ending)| label(version, ending, 1)));
+        assert_eq!(shown, expected.map(|(version, ending)| label(version, ending)));
         assert!(videos(&dir.path().join("nowhere"), "mp4").is_empty());
     }
 
@@ -194,7 +179,7 @@ mod tests {
         let store = VideoStore { folder: dir.path().to_owned(), kind: "mp4", keep: 2 };
         let blueprint = BlueprintId::try_from("2_000".to_owned()).unwrap();
         let kept = |version| {
-            store.put(&blueprint, label(version, Ending::Success, 1), b"video").unwrap();
+            store.put(&blueprint, label(version, Ending::Success), b"video").unwrap();
             videos(dir.path(), "mp4").into_iter().map(|video| video.label.version.0).collect::<Vec<_>>()
         };
         assert_eq!([700, 800, 301, 302].map(kept), [vec![700], vec![800, 700], vec![800, 301], vec![302, 301]]);

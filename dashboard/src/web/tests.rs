@@ -438,19 +438,19 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     std::fs::write(folder.join("secret.mp4"), "not a video of ours").unwrap();
     std::fs::write(dir.path().join("eval.db"), "not a video").unwrap();
     let answer = json_of(&served.get("/api/videos").await);
-    let video = json!({ "id": "2_000.7.success.1", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
+    let video = json!({ "id": "2_000.7.success", "blueprint": "2_000", "weights_version": 7, "ending": "success" });
     assert_eq!(answer, json!({ "schema_version": 1, "videos": [video] }));
-    let answer = served.get("/api/video?id=2_000.7.success.1").await;
+    let answer = served.get("/api/video?id=2_000.7.success").await;
     assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the video"), "{answer}");
     // The matching recording: three steps, with the attention in each scene.
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
-    assert_eq!(served.status("/api/recording?id=2_000.7.success.1", "").await, 404, "there is none yet");
+    assert_eq!(served.status("/api/recording?id=2_000.7.success", "").await, 404, "there is none yet");
     let recording = encode_recording(&recording());
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
-    let answer = json_of(&served.get("/api/recording?id=2_000.7.success.1").await);
+    let answer = json_of(&served.get("/api/recording?id=2_000.7.success").await);
     assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
-    let poster = served.get("/api/poster?id=2_000.7.success.1").await;
+    let poster = served.get("/api/poster?id=2_000.7.success").await;
     assert!(poster.contains("content-type: image/png") && poster.contains("IHDR"), "{} bytes", poster.len());
     let attention = &answer["attention"];
     assert_eq!((&attention["weights_version"], &attention["sources"][0]), (&json!(2), &json!("gripper 1")));
@@ -466,7 +466,7 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     assert!(most.last().unwrap().iter().all(|blocks| blocks.len() == 16), "{most:?}");
     assert!(most.iter().flatten().flatten().all(|(block, percent)| *block < 16 && (6..=100).contains(percent)));
     for id in
-        ["", "?id=", "?id=2_000.8.success.1", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
+        ["", "?id=", "?id=2_000.8.success", "?id=../eval.db", "?id=2_000/secret", "?id=secret", "?id=%2e%2e/eval.db"]
     {
         assert_eq!(served.status(&format!("/api/video{id}"), "").await, 404, "{id}");
         assert_eq!(served.status(&format!("/api/recording{id}"), "").await, 404, "{id}");

@@ -69,5 +69,5 @@ impl Videos {
 
 fn id(video: &VideoFile) -> String {
     let VideoFile { blueprint, label, .. } = video;
-    format!("{blueprint}.{}.{}.{}", label.version.0, label.ending.name(), label.number)
+    format!("{blueprint}.{}.{}", label.version.0, label.ending.name())
 }

@@ -5,21 +5,11 @@ use std::collections::VecDeque;
 
 use proto::Trajectory;
 use proto::metrics::VideoCounts;
-use runlog::videos::Ending;
 
 /// Queue capacity: three evaluations of the default videos, each up to about a megabyte.
 pub(super) const ROOM: usize = 32;
 
-/// A recorded episode to be rendered.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct VideoRequest {
-    pub(super) trajectory: Trajectory,
-    pub(super) ending: Ending,
-    /// Number among the evaluation's requests of the same blueprint and ending, from 1.
-    pub(super) number: u32,
-}
-
-/// A bounded queue of requests to be rendered.
+/// A bounded queue of recorded episodes.
 #[derive(Debug, Default)]
 pub(super) struct ClipQueue {
     state: Mutex<State>,
@@ -28,28 +18,28 @@ pub(super) struct ClipQueue {
 
 #[derive(Debug, Default)]
 struct State {
-    requests: VecDeque<VideoRequest>,
+    episodes: VecDeque<Trajectory>,
     is_closed: bool,
     /// All counts except `n_waiting`.
     counts: VideoCounts,
 }
 
-/// Result of processing a request.
+/// What was made of an episode.
 pub(super) enum Made {
     Video,
     RecordingOnly,
 }
 
 impl ClipQueue {
-    /// Adds a request to the queue. If the queue is full or closed, drops and counts it instead.
-    pub(super) fn offer(&self, request: VideoRequest) {
+    /// Adds an episode to the queue. If the queue is full or closed, drops and counts it instead.
+    pub(super) fn offer(&self, episode: Trajectory) {
         let mut state = self.state.lock();
-        if state.is_closed || state.requests.len() >= ROOM {
+        if state.is_closed || state.episodes.len() >= ROOM {
             state.counts.dropped_total += 1;
-            tracing::debug!(blueprint = %request.trajectory.task.blueprint, "no room for a video");
+            tracing::debug!(blueprint = %episode.task.blueprint, "no room for a video");
             return;
         }
-        state.requests.push_back(request);
+        state.episodes.push_back(episode);
         self.changed.notify_all();
     }
 
@@ -61,19 +51,19 @@ impl ClipQueue {
         self.state.lock().all_counts()
     }
 
-    /// Waits for the next request and returns it; `None` once the queue is closed and empty.
-    pub(super) fn next(&self) -> Option<VideoRequest> {
-        let is_idle = |state: &mut State| state.requests.is_empty() && !state.is_closed;
+    /// Waits for the next episode and returns it; `None` once the queue is closed and empty.
+    pub(super) fn next(&self) -> Option<Trajectory> {
+        let is_idle = |state: &mut State| state.episodes.is_empty() && !state.is_closed;
         let mut state = self.state.lock();
         self.changed.wait_while(&mut state, is_idle);
-        state.requests.pop_front()
+        state.episodes.pop_front()
     }
 
     pub(super) fn is_closed(&self) -> bool {
         self.state.lock().is_closed
     }
 
-    pub(super) fn note(&self, made: anyhow::Result<Made>, request: &VideoRequest) {
+    pub(super) fn note(&self, made: anyhow::Result<Made>, episode: &Trajectory) {
         let mut state = self.state.lock();
         let counts = &mut state.counts;
         match made {
@@ -81,7 +71,7 @@ impl ClipQueue {
             Ok(Made::RecordingOnly) => counts.dropped_total += 1,
             Err(error) => {
                 counts.failed_total += 1;
-                tracing::warn!(blueprint = %request.trajectory.task.blueprint, "a video failed: {error:#}");
+                tracing::warn!(blueprint = %episode.task.blueprint, "a video failed: {error:#}");
             }
         }
         self.changed.notify_all();
@@ -103,6 +93,6 @@ impl ClipQueue {
 
 impl State {
     fn all_counts(&self) -> VideoCounts {
-        VideoCounts { n_waiting: self.requests.len() as u64, ..self.counts }
+        VideoCounts { n_waiting: self.episodes.len() as u64, ..self.counts }
     }
 }

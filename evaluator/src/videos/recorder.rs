@@ -9,14 +9,14 @@ use anyhow::Context;
 use blueprints::Catalog;
 use proto::codec::encode_recording;
 use proto::metrics::VideoCounts;
+use proto::{ActionMode, Status, Trajectory, Weights};
 
-use super::queue::{ClipQueue, Made, VideoRequest};
+use super::queue::{ClipQueue, Made};
 use super::selector::EpisodeSelector;
 use crate::config::VideosConfig;
-use proto::ActionMode;
 use render::video::{Episode, Video, mp4};
 use runlog::RunPaths;
-use runlog::videos::{RECORDING, VideoName, VideoStore};
+use runlog::videos::{Ending, RECORDING, VideoName, VideoStore};
 
 /// Width of the frames in pixels.
 const WIDTH_PX: usize = 640;
@@ -57,9 +57,9 @@ impl VideoRecorder {
         let queue = Arc::new(ClipQueue::default());
         let its_queue = queue.clone();
         let work = move || {
-            while let Some(request) = its_queue.next() {
+            while let Some(episode) = its_queue.next() {
                 let is_late = its_queue.is_closed();
-                its_queue.note(files.keep(&request, is_late), &request);
+                its_queue.note(files.keep(&episode, is_late), &episode);
             }
         };
         let thread = std::thread::Builder::new().name("videos".to_owned()).spawn(work)?;
@@ -75,7 +75,7 @@ impl VideoRecorder {
         self.queue.counts()
     }
 
-    /// Ends the thread after the current video. Of the waiting requests, only the recordings are kept.
+    /// Ends the thread after the current video. Of the waiting episodes, only the recordings are kept.
     pub(crate) fn close(mut self) {
         self.queue.close();
         if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
@@ -94,17 +94,17 @@ impl Drop for VideoRecorder {
 }
 
 impl Files {
-    /// Keeps the recording of a request, and its video unless it `is_late`.
-    fn keep(&self, request: &VideoRequest, is_late: bool) -> anyhow::Result<Made> {
-        let (segment, id) = (&request.trajectory, &request.trajectory.task.blueprint);
-        let label = VideoName { version: segment.weights_version, ending: request.ending, number: request.number };
-        self.replays.put(id, label, &encode_recording(segment)).context("keeping the recording")?;
+    /// Keeps the recording of an episode, and its video unless it `is_late`.
+    fn keep(&self, episode: &Trajectory, is_late: bool) -> anyhow::Result<Made> {
+        let id = &episode.task.blueprint;
+        let ending = if episode.status == Status::Success { Ending::Success } else { Ending::Failure };
+        let label = VideoName { version: episode.weights_version, ending };
+        self.replays.put(id, label, &encode_recording(episode)).context("keeping the recording")?;
         if is_late {
             return Ok(Made::RecordingOnly);
         }
         let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
-        let episode = Episode::new(segment, goal)?;
-        let video = mp4(Video::new(&episode, WIDTH_PX).frames(FPS), FPS)?;
+        let video = mp4(Video::new(&Episode::new(episode, goal)?, WIDTH_PX).frames(FPS), FPS)?;
         let path = self.videos.put(id, label, &video).context("keeping the video")?;
         tracing::debug!(path = %path.display(), "a video of an evaluation");
         Ok(Made::Video)

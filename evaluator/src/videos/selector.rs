@@ -1,13 +1,13 @@
 //! Selects the episodes of an evaluation to record: those that could become a requested success or failure video.
 
 use parking_lot::Mutex;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use blueprints::{BlueprintId, Group, Split};
 use proto::{ActionMode, ActorId, Trajectory};
 
-use super::queue::{ClipQueue, VideoRequest};
+use super::queue::ClipQueue;
 use crate::config::VideosConfig;
 use crate::recording::Recorder;
 use crate::report::{End, EpisodeResult};
@@ -38,7 +38,6 @@ enum Subject {
 #[derive(Debug)]
 struct Open {
     missing: BTreeSet<(Subject, Ending)>,
-    n_taken: BTreeMap<(BlueprintId, Ending), u32>,
     n_recording: usize,
 }
 
@@ -48,7 +47,7 @@ impl EpisodeSelector {
         let groups = config.groups.iter().copied().map(Subject::Group);
         let subjects = groups.chain(config.blueprints.iter().cloned().map(Subject::Blueprint));
         let missing = subjects.flat_map(|subject| Ending::ALL.map(|ending| (subject.clone(), ending))).collect();
-        let open = Mutex::new(Open { missing, n_taken: BTreeMap::new(), n_recording: 0 });
+        let open = Mutex::new(Open { missing, n_recording: 0 });
         Self { acting, open, queue }
     }
 }
@@ -86,10 +85,8 @@ impl Recorder for EpisodeSelector {
         for subject in wanted {
             open.missing.remove(&(subject, ending));
         }
-        let number = open.n_taken.entry((result.blueprint.clone(), ending)).or_insert(0);
-        *number += 1;
         let actor = ActorId::try_from("evaluator".to_owned()).expect("the name is lower case");
-        self.queue.offer(VideoRequest { trajectory: Trajectory { actor, ..episode }, ending, number: *number });
+        self.queue.offer(Trajectory { actor, ..episode });
     }
 }
 

@@ -41,7 +41,7 @@ async fn runs_that_have_ended_stand_side_by_side() {
     assert_eq!((&about["is_of_sweep"], get("/api/sweep").await), (&json!(true), json!({ "points": [] })));
     assert_eq!(get("/api/history").await["evaluations"][0]["n_env_steps"], 100);
     assert_eq!(get("/runs/1/api/history").await["evaluations"][0]["n_env_steps"], 200);
-    let video = "mine.7.success.1";
+    let video = "mine.7.success";
     assert_eq!(get(&format!("/runs/1/api/recording?id={video}")).await["blueprint"], "mine");
     assert_eq!(status(&ask(&format!("/runs/1/api/poster?id={video}")).await), 200);
     // The first run does not know that goal.
