@@ -15,11 +15,12 @@ use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyAnyMethods, PyDict, PyDictMethods, PyType};
 use pyo3::{Bound, PyAny, PyResult, Python, pyclass, pymethods};
+use render::picture::Painter;
 
 use crate::arrays::{ActionArrays, action_arrays, actions, hold, rows, share};
 use crate::error::{message, refused};
 use crate::goals::Goals;
-use crate::picture::{Easel, Stage};
+use crate::picture::Stage;
 use crate::proposals::{self, N_PICKS, ProposalArrays};
 use crate::row::{Features, Outcome, Row, RowState};
 use crate::settings::parsed;
@@ -46,7 +47,7 @@ pub(crate) struct Worlds {
     /// Behind a lock, because Python may call from several threads.
     rows: Mutex<Vec<Row>>,
     n_threads: usize,
-    easel: Mutex<Easel>,
+    painter: Mutex<Painter>,
 }
 
 /// Work on one world.
@@ -89,8 +90,8 @@ impl Worlds {
         // Skips the constructors of `Batch` and of the environment, and attributes the warning to their caller.
         tasks.goals.warn(py, 3)?;
         let sizes = FeatureSizes::new(&features);
-        let (rows, easel) = (Mutex::new(rows), Mutex::default());
-        Ok(Self { config, features, sizes, tasks, starts, rows, n_threads, easel })
+        let (rows, painter) = (Mutex::new(rows), Mutex::default());
+        Ok(Self { config, features, sizes, tasks, starts, rows, n_threads, painter })
     }
 
     /// Returns worlds that go on bit for bit as these.
@@ -106,7 +107,7 @@ impl Worlds {
             starts: self.starts.clone(),
             rows: Mutex::new(rows),
             n_threads: self.n_threads,
-            easel: Mutex::default(),
+            painter: Mutex::default(),
         })
     }
 
@@ -377,12 +378,12 @@ impl Worlds {
         let mut all = self.lock(py);
         let row = all.get_mut(row).ok_or_else(|| PyIndexError::new_err(format!("there is no world {row}")))?;
         let pixels = py.detach(|| {
-            let mut easel = self.easel.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut painter = self.painter.lock().unwrap_or_else(PoisonError::into_inner);
             let size = [width, height];
             row.stage.take_if(|stage| stage.size_px() != size);
             let goal = row.world.blueprint();
-            let stage = row.stage.get_or_insert_with(|| Stage::new(&mut easel, &row.opening, goal, size));
-            stage.picture(&mut easel, row.world.scene())
+            let stage = row.stage.get_or_insert_with(|| Stage::new(&row.opening, goal, size));
+            stage.picture(&mut painter, row.world.scene())
         });
         pixels.into_pyarray(py).reshape([height, width, 3])
     }
