@@ -11,8 +11,6 @@ pub enum View {
     BackQuarter,
     /// Along +y, without perspective.
     Front,
-    /// Along −x, without perspective.
-    Side,
     /// Along −z, +y pointing up, without perspective.
     Top,
 }
@@ -73,7 +71,6 @@ impl View {
             Self::FrontQuarter => "front right",
             Self::BackQuarter => "back left",
             Self::Front => "front",
-            Self::Side => "side",
             Self::Top => "top",
         }
     }
@@ -84,7 +81,6 @@ impl View {
             Self::FrontQuarter => [32.0, 28.0],
             Self::BackQuarter => [212.0, 28.0],
             Self::Front => [0.0, 0.0],
-            Self::Side => [90.0, 0.0],
             Self::Top => [0.0, 90.0],
         }
     }
@@ -252,15 +248,13 @@ mod tests {
         };
         check(View::Front, [0.0, 0.0, 0.0], [2.0, 13.0], 0.5);
         check(View::Front, [1.0, 0.5, 1.0], [12.0, 3.0], 0.0);
-        check(View::Side, [1.0, 0.0, 0.0], [2.0, 13.0], 0.5);
-        check(View::Side, [0.0, 1.0, 1.0], [12.0, 3.0], -0.5);
         check(View::Top, [0.0, 0.0, 1.0], [2.0, 13.0], 0.5);
         check(View::Top, [1.0, 1.0, 0.0], [12.0, 3.0], -0.5);
     }
 
     #[test]
     fn framing_leaves_exactly_the_margin() {
-        for view in [View::FrontQuarter, View::BackQuarter, View::Front, View::Side, View::Top] {
+        for view in [View::FrontQuarter, View::BackQuarter, View::Front, View::Top] {
             let camera = Camera::framing(view, &cube_corners(), [100, 100], 10.0, 1000.0);
             let landed: Vec<_> = cube_corners().iter().map(|point| camera.project(point).unwrap()).collect();
             let span = |of: fn(&Projected) -> f32| {

@@ -18,8 +18,8 @@ fn cube(turn: UnitQuaternion<f32>) -> Block {
     block("1x1x1", [0.0, 0.0, 0.5], turn)
 }
 
-fn half_turn(axis: Vector3<f32>) -> UnitQuaternion<f32> {
-    UnitQuaternion::from_scaled_axis(axis * std::f32::consts::PI)
+fn half_turns(n: f32, axis: Vector3<f32>) -> UnitQuaternion<f32> {
+    UnitQuaternion::from_scaled_axis(axis * n * std::f32::consts::PI)
 }
 
 /// A picture of one block with a margin of four pixels.
@@ -82,11 +82,12 @@ fn magnets_are_red_plus_and_blue_minus_discs() {
     };
     let same = UnitQuaternion::identity();
     check(View::Front, same, false);
-    check(View::Front, half_turn(Vector3::z()), true);
-    check(View::Side, same, true);
-    check(View::Side, half_turn(Vector3::z()), false);
+    check(View::Front, half_turns(1.0, Vector3::z()), true);
+    // The sides of +x and −x.
+    check(View::Front, half_turns(-0.5, Vector3::z()), true);
+    check(View::Front, half_turns(0.5, Vector3::z()), false);
     check(View::Top, same, true);
-    check(View::Top, half_turn(Vector3::x()), false);
+    check(View::Top, half_turns(1.0, Vector3::x()), false);
 }
 
 #[test]
