@@ -21,7 +21,7 @@ mod texture;
 pub use camera::{Camera, View};
 pub use ground::Ground;
 pub use image::{Image, Rgb, WHITE};
-pub use model::{Block, Finish, GRIPPER_COLORS, TYPE_COLORS, corners, of_blueprint, of_scene};
+pub use model::{Block, GRIPPER_COLORS, TYPE_COLORS, corners, of_blueprint, of_scene};
 pub use painter::Painter;
 pub use png::encode;
 pub use sheet::{MAX_TILES, card, draw_blueprint, sheet};

@@ -14,22 +14,6 @@ pub const TYPE_COLORS: [Rgb; 6] =
 /// Frame colors of held blocks, by gripper.
 pub const GRIPPER_COLORS: [Rgb; N_GRIPPERS] = [[214, 0, 110], [20, 20, 24]];
 
-/// The style of a block.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Finish {
-    /// In its type's color with thin dark edges.
-    Plain,
-    /// Like plain, with wide edges of this color around each face.
-    Framed(Rgb),
-    /// In this color and without magnets, with wide edges of another color if there is one.
-    Shaded {
-        /// Color of the sides.
-        fill: Rgb,
-        /// Color of the edges.
-        frame: Option<Rgb>,
-    },
-}
-
 /// A block to draw.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
@@ -37,8 +21,10 @@ pub struct Block {
     pub block: BlockIdx,
     /// Its center in meters and its orientation, world frame, z up.
     pub pose: Isometry3<f32>,
-    /// The style.
-    pub finish: Finish,
+    /// Color of its sides, which then have no magnets, instead of its type's.
+    pub shade: Option<Rgb>,
+    /// Color of wide edges around each side, instead of thin dark ones.
+    pub frame: Option<Rgb>,
 }
 
 /// A rectangular side of a block.
@@ -57,18 +43,17 @@ pub(super) struct Side {
 pub fn of_blueprint(blueprint: &Blueprint) -> Vec<Block> {
     let placed = blueprint.placements().iter().map(|at| {
         let pose = Isometry3::from_parts(at.position_m().into(), at.rotation.quaternion());
-        Block { block: at.block, pose, finish: Finish::Plain }
+        Block { block: at.block, pose, shade: None, frame: None }
     });
     placed.collect()
 }
 
 /// Returns all blocks of a world; held blocks are framed in the gripper's color.
 pub fn of_scene(scene: &Scene) -> Vec<Block> {
-    let framed = |gripper: usize| Finish::Framed(GRIPPER_COLORS[gripper]);
-    let finish = |block: BlockIdx| holder(scene, block).map_or(Finish::Plain, framed);
     let placed = BlockIdx::all().zip(&scene.blocks).map(|(block, at)| {
         let rotation = UnitQuaternion::new_normalize(at.orientation.into());
-        Block { block, pose: Isometry3::from_parts(at.position.into(), rotation), finish: finish(block) }
+        let pose = Isometry3::from_parts(at.position.into(), rotation);
+        Block { block, pose, shade: None, frame: holder(scene, block).map(|gripper| GRIPPER_COLORS[gripper]) }
     });
     placed.collect()
 }
@@ -84,12 +69,9 @@ pub fn corners(blocks: &[Block]) -> Vec<Point3<f32>> {
 }
 
 impl Block {
-    /// Returns the color of the block's type, or of its finish.
+    /// Returns the color of the sides.
     pub(super) fn color(&self) -> Rgb {
-        if let Finish::Shaded { fill, .. } = self.finish {
-            return fill;
-        }
-        TYPE_COLORS[Inventory::standard().type_idx(self.block) % TYPE_COLORS.len()]
+        self.shade.unwrap_or(TYPE_COLORS[Inventory::standard().type_idx(self.block) % TYPE_COLORS.len()])
     }
 
     fn half_extents_m(&self) -> Vector3<f32> {

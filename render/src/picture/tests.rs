@@ -10,7 +10,7 @@ use super::*;
 fn block(type_name: &str, center_u: [f32; 3], turn: UnitQuaternion<f32>) -> Block {
     let block = Inventory::standard().blocks_of_type(type_name)[0];
     let center = Vector3::from(center_u) * UNIT_M;
-    Block { block, pose: Isometry3::from_parts(center.into(), turn), finish: Finish::Plain }
+    Block { block, pose: Isometry3::from_parts(center.into(), turn), shade: None, frame: None }
 }
 
 /// A cube on the ground.
@@ -118,12 +118,12 @@ fn shadow_lies_away_from_the_light() {
 #[test]
 fn frame_has_the_gripper_color() {
     // A frame is 0.13 units or 4 pixels wide, a plain edge one pixel.
-    let edge = |finish: Finish| {
-        let block = Block { finish, ..cube(UnitQuaternion::identity()) };
+    let edge = |frame: Option<Rgb>| {
+        let block = Block { frame, ..cube(UnitQuaternion::identity()) };
         pixel(&paint_one(&block, View::Front, 32), 6, 20)
     };
-    assert_eq!(edge(Finish::Framed(GRIPPER_COLORS[0])), GRIPPER_COLORS[0]);
-    assert_ne!(edge(Finish::Plain), GRIPPER_COLORS[0]);
+    assert_eq!(edge(Some(GRIPPER_COLORS[0])), GRIPPER_COLORS[0]);
+    assert_ne!(edge(None), GRIPPER_COLORS[0]);
 }
 
 #[test]
@@ -133,8 +133,7 @@ fn held_blocks_are_framed() {
     let grippers = [Some(Gripper::IDLE), Some(Gripper { held: Some(held), ..Gripper::IDLE })];
     let scene = Scene { grippers, ..Scene::at_rest(std::array::from_fn(pose)) };
     for (i, block) in of_scene(&scene).iter().enumerate() {
-        let finish = if i == 5 { Finish::Framed(GRIPPER_COLORS[1]) } else { Finish::Plain };
-        assert_eq!((block.block.get(), block.finish), (i, finish));
+        assert_eq!((block.block.get(), block.frame), (i, (i == 5).then_some(GRIPPER_COLORS[1])));
         assert_eq!(block.pose.translation.vector, Vector3::new(i as f32, 0.0, 0.05));
     }
 }

@@ -6,7 +6,7 @@ use blueprints::UNIT_M;
 
 use super::camera::Camera;
 use super::image::{Rgb, WHITE, mix};
-use super::model::{Block, Finish, Side};
+use super::model::{Block, Side};
 use super::raster::{Samples, Surface};
 
 /// Color of positive magnets.
@@ -79,11 +79,11 @@ impl Texture {
         // Magnets keep more of their color in the shade, because it distinguishes the poles.
         let glow = 0.5 + 0.5 * shine;
         let base = lit(block.color(), shine);
-        let (breadth_u, edge) = match block.finish {
-            Finish::Plain | Finish::Shaded { frame: None, .. } => (EDGE_U, mix(base, [30, 32, 44], 0.72)),
-            Finish::Framed(color) => (FRAME_U, color),
+        let (breadth_u, edge) = match (block.frame, block.shade) {
+            (None, _) => (EDGE_U, mix(base, [30, 32, 44], 0.72)),
+            (Some(color), None) => (FRAME_U, color),
             // Use a narrower frame, so that enough of a small block's shade remains.
-            Finish::Shaded { frame: Some(color), .. } => (0.6 * FRAME_U, color),
+            (Some(color), Some(_)) => (0.6 * FRAME_U, color),
         };
         let units_per_px = gradients.map(|[x, y]| x.hypot(y));
         // Foreshortening would narrow the edges of an oblique side.
@@ -106,7 +106,7 @@ impl Texture {
             rim: mix(base, lit(WHITE, glow), 0.8),
             magnet,
             sign,
-            is_bare: matches!(block.finish, Finish::Shaded { .. }),
+            is_bare: block.shade.is_some(),
         })
     }
 

@@ -9,7 +9,7 @@ use proto::Observation;
 use super::episode::Episode;
 use super::stage::Stage;
 use crate::picture::text::INK;
-use crate::picture::{Finish, GRIPPER_COLORS, Image, Painter, Rgb, holder, mix, of_scene};
+use crate::picture::{GRIPPER_COLORS, Image, Painter, Rgb, holder, mix, of_scene};
 
 /// Colors of no attention, of some, and of [`FULL`] or more.
 const RAMP: [Rgb; 3] = [[240, 242, 246], [247, 164, 66], [140, 14, 84]];
@@ -214,8 +214,7 @@ impl<'e> EpisodeAttention<'e> {
         let received = self.received(source, n_done);
         let mut blocks = of_scene(scene);
         for block in &mut blocks {
-            let frame = holder(scene, block.block).map(|gripper| GRIPPER_COLORS[gripper]);
-            block.finish = Finish::Shaded { fill: shade(received[block.block.get()]), frame };
+            block.shade = Some(shade(received[block.block.get()]));
         }
         let mut image = stage.paint(painter, &blocks, n_done as f32);
         let AttentionSource::Head { layer, head } = source else { return image };
