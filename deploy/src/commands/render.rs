@@ -16,10 +16,6 @@ use crate::live::Terminal;
 
 use shares::attention;
 
-/// Scenes in a strip, which fill two rows together with the goal, and scenes in an attention strip.
-const N_STRIP_SCENES: usize = 7;
-const N_STRIP_MOMENTS: usize = 5;
-
 /// Palette size of a strip, which should be small enough to keep in a repository.
 const STRIP_COLORS: usize = 96;
 
@@ -72,9 +68,7 @@ fn make(
         (VideoFormat::Mp4, Some(of)) => ("mp4", mp4(AttentionVideo::new(of, width).frames(fps), fps)?),
         (VideoFormat::Gif, None) => ("gif", gif(Video::new(episode, width).frames(fps), fps)?),
         (VideoFormat::Gif, Some(of)) => ("gif", gif(AttentionVideo::new(of, width).frames(fps), fps)?),
-        (VideoFormat::PngStrip, None) => ("png", encode(&strip(episode, N_STRIP_SCENES, width), STRIP_COLORS)?),
-        (VideoFormat::PngStrip, Some(of)) => {
-            ("png", encode(&attention_strip(of, N_STRIP_MOMENTS, width), STRIP_COLORS)?)
-        }
+        (VideoFormat::PngStrip, None) => ("png", encode(&strip(episode, width), STRIP_COLORS)?),
+        (VideoFormat::PngStrip, Some(of)) => ("png", encode(&attention_strip(of, width), STRIP_COLORS)?),
     })
 }

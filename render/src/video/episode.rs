@@ -97,6 +97,18 @@ impl Episode {
         self.scenes[n_done].joints.iter().filter(is_right).count()
     }
 
+    /// Returns how far the episode is after `n_done` steps, for captions.
+    pub(super) fn progress(&self, n_done: usize) -> String {
+        let step = self.first_step + n_done;
+        format!("step {step}: {}/{} connected", self.n_connected(n_done), self.goal.links().len())
+    }
+
+    /// Returns the number of frames, `fps` (at least 1) per second, with the last scene for `last_s` more seconds.
+    pub(super) fn n_frames(&self, fps: u32, last_s: f32) -> usize {
+        let per_second = fps.max(1) as f32;
+        (self.length_s() * per_second).ceil() as usize + 1 + (last_s * per_second) as usize
+    }
+
     /// Returns the largest piece of the goal that is assembled after `n_done` steps. Of pieces of equal size, returns
     /// the one with the lowest block index. Empty if no blocks are connected.
     pub(super) fn largest_piece(&self, n_done: usize) -> Vec<BlockIdx> {

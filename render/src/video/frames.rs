@@ -65,9 +65,7 @@ impl<'a> Video<'a> {
     /// Returns all frames in order, `fps` (at least 1) per second. On the last scene, the camera moves closer and then
     /// pauses.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
-        let per_second = fps.max(1) as f32;
-        let n_frames = (self.episode.length_s() * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
-        (0..n_frames).map(move |i| self.frame(i as f32 / per_second))
+        (0..self.episode.n_frames(fps, LAST_S)).map(move |i| self.frame(i as f32 / fps.max(1) as f32))
     }
 
     /// Returns the frame at a time in seconds since the first scene. After the end, this is the last scene with the

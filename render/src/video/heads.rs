@@ -14,6 +14,9 @@ const GAP: usize = 6;
 const FOOT: usize = 22;
 const LEGEND: usize = 24;
 
+/// Number of scenes in a strip.
+const N_SCENES: usize = 5;
+
 /// Width of the text next to the rows of a strip, in pixels.
 const MARGIN: usize = 152;
 
@@ -52,12 +55,9 @@ impl<'g> AttentionVideo<'g> {
 
     /// Returns all frames in order, `fps` (at least 1) per second, with a pause on the last one.
     pub fn frames(&mut self, fps: u32) -> impl Iterator<Item = Image> + '_ {
-        let per_second = fps.max(1) as f32;
-        let length_s = self.attention.episode.length_s();
-        let n_frames = (length_s * per_second).ceil() as usize + 1 + (LAST_S * per_second) as usize;
         let mut last: Option<(usize, Image)> = None;
-        (0..n_frames).map(move |i| {
-            let n_done = self.attention.episode.n_done(i as f32 / per_second);
+        (0..self.attention.episode.n_frames(fps, LAST_S)).map(move |i| {
+            let n_done = self.attention.episode.n_done(i as f32 / fps.max(1) as f32);
             match &last {
                 Some((known, image)) if *known == n_done => image.clone(),
                 _ => last.insert((n_done, self.frame(n_done))).1.clone(),
@@ -72,10 +72,7 @@ impl<'g> AttentionVideo<'g> {
         let corner = |column: usize, row: usize| [column * (width + GAP), row * (height + FOOT)];
         let mut image = Image::filled(self.size_px[0], self.size_px[1], WHITE);
         let world = self.stage.picture(&mut self.painter, &episode.scenes()[n_done], n_done as f32);
-        let n_links = episode.goal().links().len();
-        let step = episode.first_step() + n_done;
-        let words = format!("step {step}: {}/{n_links} connected", episode.n_connected(n_done));
-        captioned(&mut image, corner(0, 0), &world, &words, INK);
+        captioned(&mut image, corner(0, 0), &world, &episode.progress(n_done), INK);
         let goal = format!("goal: {}", episode.goal().id());
         captioned(&mut image, corner(1, 0), &self.goal, &goal, INK);
         for source in attention.sources() {
@@ -99,17 +96,16 @@ impl<'g> AttentionVideo<'g> {
     }
 }
 
-/// Draws rows of pictures at `n_moments` (at least 2) evenly spaced steps: the world, then the attention of each
-/// gripper and of each head of each layer. The image is about `width` pixels wide (at least 480).
-pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width: usize) -> Image {
-    let n_moments = n_moments.max(2);
+/// Draws rows of pictures at five evenly spaced steps: the world, then the attention of each gripper and of each head of
+/// each layer. The image is about `width` pixels wide (at least 480).
+pub fn attention_strip(attention: &EpisodeAttention<'_>, width: usize) -> Image {
     let episode = attention.episode;
-    let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / n_moments - GAP;
+    let tile_width = (width.max(super::MIN_WIDTH) - MARGIN) / N_SCENES - GAP;
     let tile_px = [tile_width, tile_width * 9 / 16];
     let sources: Vec<AttentionSource> = attention.sources().collect();
     let step_px = [tile_px[0] + GAP, tile_px[1] + GAP];
     let height = FOOT + (sources.len() + 1) * step_px[1] + LEGEND;
-    let mut image = Image::filled(MARGIN + n_moments * step_px[0], height, WHITE);
+    let mut image = Image::filled(MARGIN + N_SCENES * step_px[0], height, WHITE);
     let mut painter = Painter::default();
     let inside = tile_px.map(|side| side - 2);
     let goal = draw_blueprint(&mut painter, episode.goal(), View::FrontQuarter, [MARGIN - 14, inside[1]]);
@@ -117,8 +113,8 @@ pub fn attention_strip(attention: &EpisodeAttention<'_>, n_moments: usize, width
     let words = format!("goal: {}", episode.goal().id());
     write(&mut image, [2, 2], &fitted(&words, Type::Small, MARGIN), Type::Small, INK);
     let stage = Stage::new(episode, inside);
-    for moment in 0..n_moments {
-        let n_done = moment * episode.n_steps() / (n_moments - 1);
+    for moment in 0..N_SCENES {
+        let n_done = moment * episode.n_steps() / (N_SCENES - 1);
         let x = MARGIN + moment * step_px[0];
         let words = format!("step {}", episode.first_step() + n_done);
         write(&mut image, [x + 2, 2], &fitted(&words, Type::Small, tile_px[0]), Type::Small, GRAY);

@@ -8,6 +8,9 @@ use super::stage::{SETTLING_STEPS, Stage};
 use crate::picture::text::{GRAY, INK};
 use crate::picture::{Image, Painter, View, WHITE, draw_blueprint};
 
+/// Number of scenes, which fill two rows together with the goal.
+const N_SCENES: usize = 7;
+
 /// Number of pictures in a row.
 const N_COLUMNS: usize = 4;
 
@@ -15,13 +18,12 @@ const N_COLUMNS: usize = 4;
 const GAP: usize = 8;
 const FOOT: usize = 26;
 
-/// Draws pictures in rows of four: the goal, then `n_frames` (at least 2) pictures of the world. The image is `width`
-/// pixels wide (at least 480).
-pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
-    let n_frames = n_frames.max(2);
+/// Draws pictures in two rows of four: the goal, then seven pictures of the world. The image is `width` pixels wide (at
+/// least 480).
+pub fn strip(episode: &Episode, width: usize) -> Image {
     let tile = (width.max(super::MIN_WIDTH) - (N_COLUMNS - 1) * GAP) / N_COLUMNS;
     let height = tile * 2 / 3;
-    let n_rows = (n_frames + 1).div_ceil(N_COLUMNS);
+    let n_rows = (N_SCENES + 1) / N_COLUMNS;
     let full_height = n_rows * (height + FOOT + GAP) - GAP;
     let mut image = Image::filled(N_COLUMNS * (tile + GAP) - GAP, full_height, WHITE);
     let mut painter = Painter::default();
@@ -30,17 +32,14 @@ pub fn strip(episode: &Episode, n_frames: usize, width: usize) -> Image {
     let goal = draw_blueprint(&mut painter, episode.goal(), View::FrontQuarter, inside);
     captioned(&mut image, corner(0), &goal, &format!("goal: {}", episode.goal().id()), INK);
     let stage = Stage::new(episode, inside);
-    let n_links = episode.goal().links().len();
-    for i in 0..n_frames {
-        let n_done = i * episode.n_steps() / (n_frames - 1);
-        let is_last = i + 1 == n_frames;
+    for i in 0..N_SCENES {
+        let n_done = i * episode.n_steps() / (N_SCENES - 1);
+        let is_last = i + 1 == N_SCENES;
         // The last picture shows the scene after the camera has settled.
         let settled = if is_last { SETTLING_STEPS } else { 0 };
         let picture = stage.picture(&mut painter, &episode.scenes()[n_done], (n_done + settled) as f32);
         let end = if is_last && episode.status() == Status::Success { ", success" } else { "" };
-        let step = episode.first_step() + n_done;
-        let words = format!("step {step}: {}/{n_links} connected{end}", episode.n_connected(n_done));
-        captioned(&mut image, corner(i + 1), &picture, &words, GRAY);
+        captioned(&mut image, corner(i + 1), &picture, &(episode.progress(n_done) + end), GRAY);
     }
     image
 }

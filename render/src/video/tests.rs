@@ -199,7 +199,7 @@ fn unsupported_frames_are_refused() {
 #[test]
 fn strip_shows_the_goal_and_the_scenes_in_rows_of_four() {
     // Tiles are (600 − 3 · 8) / 4 = 144 wide and 96 high, with 26 pixels of text and 8 between: 2 · 130 − 8.
-    let strip = strip(&episode(), 7, 600);
+    let strip = strip(&episode(), 600);
     assert_eq!((strip.width(), strip.height()), (600, 252));
 }
 
@@ -223,9 +223,9 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
     // Four tiles in a row, (640 − 3 · 6) / 4 = 155 wide and 87 high with 22 pixels of text; three rows, and the legend.
     assert_eq!((frames[0].width(), frames[0].height()), (640, 352));
     assert!(mp4(frames, 10).is_ok());
-    // Tiles are (600 − 152) / 2 − 6 = 218 wide and 122 high, 6 pixels between: the world, a gripper, and six heads.
-    let strip = attention_strip(&attention, 2, 600);
-    assert_eq!((strip.width(), strip.height()), (152 + 2 * 224, 22 + 8 * 128 + 24));
+    // Tiles are (602 − 152) / 5 − 6 = 84 wide and 47 high, 6 pixels between: the world, a gripper, and six heads.
+    let strip = attention_strip(&attention, 602);
+    assert_eq!((strip.width(), strip.height()), (152 + 5 * 90, 22 + 8 * 53 + 24));
     // The two blocks of the goal are each other's planned neighbors; block 0 is held, and nothing is connected.
     let observation = Observation { scene: &episode.scenes()[2], blueprint: episode.goal() };
     let seen = &policy(1, true).attention(&[observation])[0];
