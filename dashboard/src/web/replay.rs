@@ -223,4 +223,38 @@ impl SceneView {
 }
 
 #[cfg(test)]
-pub(super) mod tests;
+mod tests {
+    use super::super::tests::recording;
+    use super::*;
+
+    #[test]
+    fn a_hand_worked_replay() {
+        let mut recording = recording();
+        recording.transitions[0].scene.blocks[0].position[1] = 0.123_456;
+        let goal = Catalog::builtin().get(&"2_000".parse().unwrap()).unwrap();
+        let json = serde_json::to_value(view(&recording, goal, |_| None).unwrap()).unwrap();
+        assert_eq!(
+            (&json["blueprint"], &json["end"], &json["weights_version"]),
+            (&"2_000".into(), &"success".into(), &12.into())
+        );
+        assert_eq!(json["goal"].as_array().unwrap().len(), 2);
+        // Two steps make three scenes; each step is worth 1 − 1 + 0.5 − 0.25 − 0.125.
+        let scenes = json["scenes"].as_array().unwrap();
+        let rewards: Vec<f64> = scenes.iter().map(|scene| scene["reward"].as_f64().unwrap()).collect();
+        assert_eq!(rewards, [0.0, 0.125, 0.25]);
+        assert_eq!(scenes[2]["reward_terms"]["connected"], 2.0);
+        assert_eq!(scenes[2]["reward_terms"]["blocks"], -0.5);
+        // Nothing is connected as in the goal, so the block that is placed first determines the goal's frame.
+        let scene = &recording.transitions[0].scene;
+        let frame = goal_frame(goal, scene);
+        let placement = goal.placements().iter().find(|p| goal.rank(p.block) == Some(0)).unwrap();
+        let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
+        let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);
+        assert!((at - Vector3::from(scene.blocks[placement.block.get()].position)).norm() < 1e-3, "{at}");
+        assert_eq!(json["links"].as_array().unwrap().len(), goal.links().len());
+        assert_eq!([&json["names"][0], &json["names"][15]], ["cube 1", "slab 2"]);
+        assert_eq!(scenes[0]["held"], serde_json::json!([4, null]));
+        let y = scenes[0]["blocks"][0][1].as_f64().unwrap();
+        assert!((y - 0.1235).abs() < 1e-6, "{y}");
+    }
+}

@@ -6,13 +6,12 @@ use std::time::Duration;
 
 use blueprints::Catalog;
 use proto::codec::encode_recording;
-use proto::{Role, Valid};
+use proto::{Role, Trajectory, Valid};
 use serde_json::{Value, json};
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 
 use super::events::MAX_VIEWERS;
-use super::replay::tests::recording;
 use super::server::MAX_CONNECTIONS;
 use super::*;
 use crate::config::Token;
@@ -21,10 +20,20 @@ use samples::evaluation;
 mod finished;
 #[path = "../../../runlog/src/history/tests/samples.rs"]
 pub(super) mod samples;
+#[path = "../../../proto/src/codec/tests/samples.rs"]
+#[expect(dead_code)]
+mod trajectories;
 #[path = "../../../policy/tests/samples/untrained.rs"]
 mod untrained;
 
 const TOKEN: &str = "0123456789abcdef";
+
+/// The last two steps of an episode that succeeds.
+pub(super) fn recording() -> Trajectory {
+    let mut recording = trajectories::successful("a", 0);
+    recording.task.blueprint = "2_000".parse().unwrap();
+    recording
+}
 
 /// Fails a test that waits for something that never happens.
 async fn within<T>(future: impl Future<Output = T>) -> T {
@@ -442,14 +451,14 @@ async fn videos_are_told_and_sent_and_nothing_else_is() {
     assert_eq!(answer, json!({ "schema_version": 1, "videos": [video] }));
     let answer = served.get("/api/video?id=2_000.7.success").await;
     assert!(answer.contains("content-type: video/mp4") && answer.ends_with("the video"), "{answer}");
-    // The matching recording: three steps, with the attention in each scene.
+    // The matching recording: two steps, with the attention in each scene.
     let recordings = dir.path().join("replays").join("2_000");
     std::fs::create_dir_all(&recordings).unwrap();
     assert_eq!(served.status("/api/recording?id=2_000.7.success", "").await, 404, "there is none yet");
     let recording = encode_recording(&recording());
     std::fs::write(recordings.join("00000007-success.trajectory"), recording).unwrap();
     let answer = json_of(&served.get("/api/recording?id=2_000.7.success").await);
-    assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 4));
+    assert_eq!((&answer["blueprint"], answer["scenes"].as_array().unwrap().len()), (&json!("2_000"), 3));
     let poster = served.get("/api/poster?id=2_000.7.success").await;
     assert!(poster.contains("content-type: image/png") && poster.contains("IHDR"), "{} bytes", poster.len());
     let attention = &answer["attention"];
@@ -482,7 +491,7 @@ async fn an_episode_is_played_when_somebody_asks_for_it() {
     assert_eq!(status(&answer), 200, "{answer}");
     let episode = json_of(&answer);
     assert_eq!((&episode["blueprint"], &episode["end"]), (&json!("2_000"), &json!("success")));
-    assert_eq!(episode["scenes"].as_array().unwrap().len(), 4);
+    assert_eq!(episode["scenes"].as_array().unwrap().len(), 3);
     // No weights have arrived, so the policy is unavailable. Invalid orders are rejected.
     assert_eq!(served.status("/api/play?blueprint=2_000", "").await, 503);
     assert_eq!(served.status("/api/play?blueprint=99_999", "").await, 400);
