@@ -24,12 +24,6 @@ struct State {
     counts: VideoCounts,
 }
 
-/// What was made of an episode.
-pub(super) enum Made {
-    Video,
-    RecordingOnly,
-}
-
 impl ClipQueue {
     /// Adds an episode to the queue. If the queue is full or closed, drops and counts it instead.
     pub(super) fn offer(&self, episode: Trajectory) {
@@ -43,37 +37,21 @@ impl ClipQueue {
         self.changed.notify_all();
     }
 
-    pub(super) fn count_unrecorded(&self) {
-        self.state.lock().counts.unrecorded_total += 1;
-    }
-
     pub(super) fn counts(&self) -> VideoCounts {
         self.state.lock().all_counts()
     }
 
-    /// Waits for the next episode and returns it; `None` once the queue is closed and empty.
-    pub(super) fn next(&self) -> Option<Trajectory> {
+    /// Waits for the next episode and returns it, and whether the queue is closed; `None` once it is also empty.
+    pub(super) fn next(&self) -> Option<(Trajectory, bool)> {
         let is_idle = |state: &mut State| state.episodes.is_empty() && !state.is_closed;
         let mut state = self.state.lock();
         self.changed.wait_while(&mut state, is_idle);
-        state.episodes.pop_front()
+        let episode = state.episodes.pop_front()?;
+        Some((episode, state.is_closed))
     }
 
-    pub(super) fn is_closed(&self) -> bool {
-        self.state.lock().is_closed
-    }
-
-    pub(super) fn note(&self, made: anyhow::Result<Made>, episode: &Trajectory) {
-        let mut state = self.state.lock();
-        let counts = &mut state.counts;
-        match made {
-            Ok(Made::Video) => counts.written_total += 1,
-            Ok(Made::RecordingOnly) => counts.dropped_total += 1,
-            Err(error) => {
-                counts.failed_total += 1;
-                tracing::warn!(blueprint = %episode.task.blueprint, "a video failed: {error:#}");
-            }
-        }
+    pub(super) fn count(&self, change: impl FnOnce(&mut VideoCounts)) {
+        change(&mut self.state.lock().counts);
         self.changed.notify_all();
     }
 

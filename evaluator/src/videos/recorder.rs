@@ -9,9 +9,9 @@ use anyhow::Context;
 use blueprints::Catalog;
 use proto::codec::encode_recording;
 use proto::metrics::VideoCounts;
-use proto::{ActionMode, Status, Trajectory, Weights};
+use proto::{ActionMode, Status, Trajectory};
 
-use super::queue::{ClipQueue, Made};
+use super::queue::ClipQueue;
 use super::selector::EpisodeSelector;
 use crate::config::VideosConfig;
 use render::video::{Episode, Video, mp4};
@@ -57,9 +57,16 @@ impl VideoRecorder {
         let queue = Arc::new(ClipQueue::default());
         let its_queue = queue.clone();
         let work = move || {
-            while let Some(episode) = its_queue.next() {
-                let is_late = its_queue.is_closed();
-                its_queue.note(files.keep(&episode, is_late), &episode);
+            while let Some((episode, is_late)) = its_queue.next() {
+                let kept = files.keep(&episode, is_late);
+                if let Err(error) = &kept {
+                    tracing::warn!(blueprint = %episode.task.blueprint, "a video failed: {error:#}");
+                }
+                its_queue.count(|counts| match kept {
+                    Ok(()) if is_late => counts.dropped_total += 1,
+                    Ok(()) => counts.written_total += 1,
+                    Err(_) => counts.failed_total += 1,
+                });
             }
         };
         let thread = std::thread::Builder::new().name("videos".to_owned()).spawn(work)?;
@@ -95,18 +102,18 @@ impl Drop for VideoRecorder {
 
 impl Files {
     /// Keeps the recording of an episode, and its video unless it `is_late`.
-    fn keep(&self, episode: &Trajectory, is_late: bool) -> anyhow::Result<Made> {
+    fn keep(&self, episode: &Trajectory, is_late: bool) -> anyhow::Result<()> {
         let id = &episode.task.blueprint;
         let ending = if episode.status == Status::Success { Ending::Success } else { Ending::Failure };
         let label = VideoName { version: episode.weights_version, ending };
         self.replays.put(id, label, &encode_recording(episode)).context("keeping the recording")?;
         if is_late {
-            return Ok(Made::RecordingOnly);
+            return Ok(());
         }
         let goal = self.catalog.get(id).context("its goal is not in the catalog")?;
         let video = mp4(Video::new(&Episode::new(episode, goal)?, WIDTH_PX).frames(FPS), FPS)?;
         let path = self.videos.put(id, label, &video).context("keeping the video")?;
         tracing::debug!(path = %path.display(), "a video of an evaluation");
-        Ok(Made::Video)
+        Ok(())
     }
 }

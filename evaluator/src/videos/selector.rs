@@ -63,7 +63,7 @@ impl Recorder for EpisodeSelector {
             return false;
         }
         if open.n_recording >= MAX_RECORDING {
-            self.queue.count_unrecorded();
+            self.queue.count(|counts| counts.unrecorded_total += 1);
             return false;
         }
         open.n_recording += 1;
