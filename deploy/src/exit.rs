@@ -112,9 +112,7 @@ impl From<BusError> for Failure {
         match &error {
             // A file system that fails may work later, so this is not a setting that nobody can use.
             BusError::Keys(KeysError::Unreadable { kind, .. }) if !is_lasting(*kind) => Self::Checkpoint(error.into()),
-            BusError::Keys(_) => {
-                Self::Config(ConfigError::Invalid { origin: "bus".to_owned(), message: error.to_string() })
-            }
+            BusError::Keys(_) => Self::Config(ConfigError::at("bus", error)),
             _ => Self::Bus(error.into()),
         }
     }

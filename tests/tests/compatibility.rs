@@ -2,7 +2,7 @@
 //! does.
 
 use burn::tensor::Device;
-use deploy::config::{ABLATIONS, Base, Config, PRESETS, merge};
+use deploy::config::{ABLATIONS, Config, PRESETS, Preset, merge};
 use learner::read_model;
 use policy::Engine;
 use proto::codec::MAX_PARAMETERS;
@@ -40,7 +40,7 @@ fn the_networks_of_all_ablations_fit_onto_the_bus() {
     for ablation in ABLATIONS {
         for base in ["laptop", "paper"] {
             let over = ablation.overrides().unwrap();
-            let config = merge("", ablation.name, Base::find(base).unwrap(), &over).unwrap();
+            let config = merge("", ablation.name, Preset::find(base).unwrap(), &over).unwrap();
             let n_parameters = Engine::new(&config.policy, 0, &Device::flex(), false).parameters().len();
             assert!(n_parameters <= MAX_PARAMETERS, "{}: {n_parameters}", ablation.name);
         }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use deploy::config::{Base, Config, Key, PRESETS, keys, merge};
+use deploy::config::{Config, DEFAULTS, Key, PRESETS, keys, merge};
 
 use crate::repository::{read, root};
 
@@ -25,7 +25,7 @@ fn flat(config: &Config) -> BTreeMap<String, toml::Value> {
 /// The page `docs/settings.md`.
 fn page() -> String {
     let presets: Vec<_> =
-        PRESETS.iter().map(|preset| (preset.name, flat(&merge("", "", Base::Preset(preset), &[]).unwrap()))).collect();
+        PRESETS.iter().map(|preset| (preset.name, flat(&merge("", "", preset, &[]).unwrap()))).collect();
     let mut page =
         "<!-- Generated from the source by tests/tests/settings.rs; do not edit. -->\n\n# Settings\n".to_owned();
     let keys = keys();
@@ -77,11 +77,17 @@ fn the_page_of_settings_is_true() {
 fn a_file_of_changes_gives_the_same_configuration() {
     for preset in PRESETS {
         let whole = Config::parse(preset.text, preset.name).unwrap();
-        for base in PRESETS.iter().map(Base::Preset).chain([Base::Defaults]) {
+        for base in PRESETS.iter().chain([&DEFAULTS]) {
             let text = whole.changes(base).unwrap();
-            assert_eq!(Config::parse(&text, "the changes").unwrap(), whole, "{} over {base}: {text}", preset.name);
+            assert_eq!(
+                Config::parse(&text, "the changes").unwrap(),
+                whole,
+                "{} over {}: {text}",
+                preset.name,
+                base.name
+            );
         }
-        let own = whole.changes(Base::Preset(preset)).unwrap();
+        let own = whole.changes(preset).unwrap();
         assert_eq!(own.trim(), format!("base = \"{}\"", preset.name));
     }
 }

@@ -10,8 +10,8 @@ use proto::Valid;
 use runlog::RunPaths;
 
 use crate::config::{
-    ABLATIONS, Ablation, Base, Config, ConfigError, DEFAULT_PRESET, Override, PRESETS, Preset, explain, merge, read,
-    schema,
+    ABLATIONS, Ablation, Config, ConfigError, DEFAULT_PRESET, DEFAULTS, Override, PRESETS, Preset, explain, merge,
+    read, schema,
 };
 
 /// Sources of the configuration.
@@ -62,7 +62,7 @@ pub struct Settings {
     /// The preset, unless a file or an ablation overrides it.
     pub preset: Option<&'static Preset>,
     /// What the file and the flags change.
-    pub base: Base,
+    pub base: &'static Preset,
 }
 
 impl ConfigArgs {
@@ -95,7 +95,7 @@ impl ConfigArgs {
             let text = read(&path)?;
             let origin = path.display().to_string();
             let before = Config::parse(&text, &origin)?;
-            let settings = settings(&text, &origin, Base::Defaults, origin.clone(), None)?;
+            let settings = settings(&text, &origin, &DEFAULTS, origin.clone(), None)?;
             goes_on(&before, &settings.config, folder)?;
             return Ok(settings);
         }
@@ -103,11 +103,10 @@ impl ConfigArgs {
             let text = read(file)?;
             let origin = file.display().to_string();
             let base = self.base(&text, &origin)?;
-            return settings(&text, &origin, base, format!("{origin} over {base}"), None);
+            return settings(&text, &origin, base, format!("{origin} over {}", base.words()), None);
         }
         let preset = self.named_preset()?;
-        let base = Base::Preset(preset);
-        settings("", preset.name, base, base.to_string(), Some(preset))
+        settings("", preset.name, preset, preset.words(), Some(preset))
     }
 
     /// The configuration as --print-config shows it.
@@ -119,21 +118,23 @@ impl ConfigArgs {
         if self.schema {
             return Ok(format!("{:#}", schema()));
         }
-        let text = if self.changed { config.changes(*base)? } else { config.to_toml() };
+        let text = if self.changed { config.changes(base)? } else { config.to_toml() };
         Ok(if self.explain { explain(&text) } else { text })
     }
 
     /// The base that the keys of a file override.
-    fn base(&self, text: &str, origin: &str) -> Result<Base, ConfigError> {
-        let flag = self.preset.as_deref().map(Base::find).transpose()?;
-        match (Base::named_in(text, origin)?, flag) {
-            (Some(named), Some(flag)) if named != flag => Err(ConfigError::Value {
-                origin: origin.to_owned(),
-                message: format!("its `base` is {named}, and --preset is {flag}: give one of them"),
-            }),
-            (Some(base), _) | (None, Some(base)) => Ok(base),
-            (None, None) => self.named_preset().map(Base::Preset),
+    fn base(&self, text: &str, origin: &str) -> Result<&'static Preset, ConfigError> {
+        let preset = self.named_preset()?;
+        let keys: toml::Table =
+            toml::from_str(text).map_err(|error| ConfigError::from_toml(&error, Some(text), origin))?;
+        let Some(name) = keys.get("base").and_then(toml::Value::as_str) else { return Ok(preset) };
+        let named = Preset::find(name)?;
+        if self.preset.is_some() && named != preset {
+            let (named, preset) = (named.words(), preset.words());
+            let message = format_args!("its `base` is {named}, and --preset is {preset}: give one of them");
+            return Err(ConfigError::at(origin, message));
         }
+        Ok(named)
     }
 
     fn named_preset(&self) -> Result<&'static Preset, ConfigError> {
@@ -172,12 +173,11 @@ fn of_ablation(ablation: &Ablation) -> PossibleValue {
 fn has_effect(overrides: &[Override], config: &Config) -> Result<(), ConfigError> {
     let is_rate = |given: &&Override| given.path == ["learner", "optimizer", "learning_rate"];
     match overrides.iter().find(is_rate) {
-        Some(given) if matches!(config.learner.optimizer.lr_schedule, LrSchedule::Line(_)) => Err(ConfigError::Value {
-            origin: given.origin.clone(),
-            message: "has no effect while learner.optimizer.lr_schedule is a line; change its points, or add \
-                      learner.optimizer.lr_schedule.kind=fixed"
-                .to_owned(),
-        }),
+        Some(given) if matches!(config.learner.optimizer.lr_schedule, LrSchedule::Line(_)) => Err(ConfigError::at(
+            &given.origin,
+            "has no effect while learner.optimizer.lr_schedule is a line; change its points, or add \
+             learner.optimizer.lr_schedule.kind=fixed",
+        )),
         _ => Ok(()),
     }
 }
@@ -187,10 +187,10 @@ fn goes_on(before: &Config, now: &Config, folder: &Path) -> Result<(), ConfigErr
     let (was, is) = (&before.learner.normalization, &now.learner.normalization);
     for (name, was, is) in [("features", was.features, is.features), ("values", was.values, is.values)] {
         if was && !is {
-            return Err(ConfigError::Value {
-                origin: folder.display().to_string(),
-                message: format!("learner.normalization.{name} = false comes too late for this run; start another one"),
-            });
+            return Err(ConfigError::at(
+                folder.display(),
+                format_args!("learner.normalization.{name} = false comes too late for this run; start another one"),
+            ));
         }
     }
     Ok(())

@@ -14,7 +14,7 @@ use super::common::{json, n_threads};
 use super::goals::Goals;
 use super::models::Source;
 use crate::cli::EvalArgs;
-use crate::config::{Base, Config, Override, merge};
+use crate::config::{Config, DEFAULTS, Override, merge};
 use crate::exit::Failure;
 use crate::live::{self, Terminal};
 
@@ -85,7 +85,7 @@ pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &Cancell
 /// The default configuration with `overrides` applied.
 fn config_of_expert(overrides: &[Override]) -> Result<Valid<Config>, Failure> {
     Override::only_in(&["environment", "evaluator", "seed"], overrides)?;
-    let mut config = merge(OF_EXPERT, "the defaults", Base::Defaults, overrides)?;
+    let mut config = merge(OF_EXPERT, "the defaults", &DEFAULTS, overrides)?;
     // No policy acts here.
     config.policy.features.n_grippers = config.environment.n_grippers;
     Ok(config.checked()?)

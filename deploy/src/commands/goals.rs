@@ -243,7 +243,7 @@ pub(super) fn is_path(name: &OsStr) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Base, merge};
+    use crate::config::{DEFAULTS, merge};
 
     /// The text of the built-in blueprint with this id.
     fn text(id: &str) -> String {
@@ -285,7 +285,7 @@ mod tests {
         let named = [file.clone().into(), "6_005".into()];
         let goals = Goals::for_training(&named, None).unwrap();
         assert_eq!(goals.inferred.len(), 5);
-        let config = merge("base = \"laptop\"", "file", Base::Defaults, &goals.settings()).unwrap();
+        let config = merge("base = \"laptop\"", "file", &DEFAULTS, &goals.settings()).unwrap();
         config.clone().checked().unwrap();
         let selected = |catalog: &Catalog| {
             let selected = config.evaluator.selection.select(catalog).unwrap();

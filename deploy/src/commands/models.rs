@@ -10,7 +10,7 @@ use proto::Valid;
 use super::best;
 use super::files::write_file;
 use crate::cli::ExportArgs;
-use crate::config::{Base, Config, Override, Preset, merge, read};
+use crate::config::{Config, DEFAULTS, Override, Preset, merge, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::run_dir::{check_exists, runs_in};
@@ -110,7 +110,7 @@ impl Source {
     /// The configuration with `overrides` applied and the policy section of the model.
     pub(super) fn config(&self, overrides: &[Override]) -> Result<Valid<Config>, Failure> {
         let (text, origin) = &self.config;
-        let config = merge(text, origin, Base::Defaults, overrides)?;
+        let config = merge(text, origin, &DEFAULTS, overrides)?;
         Ok(Config { policy: evaluator::PolicyConfig::clone(&self.model.policy), ..config }.checked()?)
     }
 }

@@ -67,8 +67,7 @@ impl Ablation {
             let known: Vec<&str> = ABLATIONS.iter().map(|ablation| ablation.name).collect();
             let others = format!("; there are {}", known.join(", "));
             let suggestion = suggestion_or(&nearest(name, known.iter().copied()), &others);
-            let message = format!("there is no such ablation{suggestion}");
-            ConfigError::Value { origin: format!("ablation={name}"), message }
+            ConfigError::at(format_args!("ablation={name}"), format_args!("there is no such ablation{suggestion}"))
         })
     }
 

@@ -1,45 +1,18 @@
 //! Errors of configurations.
 
-use std::path::PathBuf;
+use std::fmt::Display;
 
 use proto::InvalidSetting;
 
 /// A configuration that cannot be used. The message names what is wrong and what would be valid.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read the configuration {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// An unknown preset.
-    #[error("there is no preset {0}")]
-    Preset(String),
-    /// Text that is not TOML, an unknown key or variable, or a value of the wrong type.
-    #[error("{origin}: {message}")]
-    Value {
-        /// File and line, variable, or flag.
-        origin: String,
-        /// What is wrong and what was expected.
-        message: String,
-    },
+    /// A file that cannot be read, text that is not TOML, an unknown name, or a value of the wrong type.
+    #[error("{0}")]
+    Text(String),
     /// A value outside its range, or values that contradict each other.
-    #[error("{origin}: {message}")]
-    Invalid {
-        /// Where the configuration comes from.
-        origin: String,
-        /// The field, its value, and the valid range.
-        message: String,
-    },
-}
-
-impl From<InvalidSetting> for ConfigError {
-    fn from(error: InvalidSetting) -> Self {
-        Self::Invalid { origin: "configuration".to_owned(), message: error.to_string() }
-    }
+    #[error("configuration: {0}")]
+    Invalid(#[from] InvalidSetting),
 }
 
 /// The suggestion appended to a message, or else `otherwise`.
@@ -61,8 +34,13 @@ pub(crate) fn nearest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) 
 }
 
 impl ConfigError {
+    /// An error at `origin`: a file and its line, a variable, or a flag.
+    pub(crate) fn at(origin: impl Display, message: impl Display) -> Self {
+        Self::Text(format!("{origin}: {message}"))
+    }
+
     /// Converts an error of the TOML parser; adds the line if `source` is the text that it came from.
-    pub(super) fn from_toml(error: &toml::de::Error, source: Option<&str>, origin: &str) -> Self {
+    pub(crate) fn from_toml(error: &toml::de::Error, source: Option<&str>, origin: &str) -> Self {
         let line = error.span().zip(source).map(|(span, text)| 1 + text[..span.start].matches('\n').count());
         let origin = line.map_or_else(|| origin.to_owned(), |line| format!("{origin}:{line}"));
         // Serde has no structured form of this error. Its text quotes the unknown name and the known names in
@@ -71,13 +49,13 @@ impl ConfigError {
         if !message.starts_with("unknown field") {
             // Users do not know the names of Rust's types.
             let message = message.trim().replace('\n', ", ").replace("expected f32", "expected a number");
-            return Self::Value { origin, message: message.replace("expected f64", "expected a number") };
+            return Self::at(origin, message.replace("expected f64", "expected a number"));
         }
         let mut names = message.split('`').skip(1).step_by(2);
         let key = names.next().unwrap_or_default();
         let suggestion =
             suggestion_or(&nearest(key, names), "; `lodestone train --print-config --schema` lists all keys");
-        Self::Value { origin, message: format!("unknown key `{key}`{suggestion}") }
+        Self::at(origin, format_args!("unknown key `{key}`{suggestion}"))
     }
 }
 

@@ -4,7 +4,7 @@ use proto::setting::Section;
 use proto::setting::schema::Schema;
 use serde_json::{Value, json};
 
-use super::{Config, NO_BASE, PRESETS};
+use super::{Config, DEFAULTS, PRESETS};
 
 /// A key or a section of the configuration.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub fn schema() -> Schema {
     let mut schema = Config::schema();
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
     schema["title"] = "Lodestone configuration".into();
-    let bases: Vec<&str> = PRESETS.iter().map(|preset| preset.name).chain([NO_BASE]).collect();
+    let bases: Vec<&str> = PRESETS.iter().chain([&DEFAULTS]).map(|preset| preset.name).collect();
     schema["properties"]["base"]["enum"] = json!(bases);
     schema
 }

@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 
-use super::{Config, ConfigError, NO_BASE, Preset, shorten};
+use super::{Config, ConfigError, DEFAULTS, Preset, file};
 
 /// Settings that are variables without a section.
 pub(super) const SETTINGS: [&str; 3] = ["DEVICE", "RUN", "SEED"];
@@ -36,7 +36,7 @@ impl Override {
             Some((key, value)) if !key.trim().is_empty() => {
                 Ok(Self { value: parse_value(value), ..Self::flag(&origin, key.trim(), "") })
             }
-            _ => Err(ConfigError::Value { origin, message: "expected KEY=VALUE, for example seed=7".to_owned() }),
+            _ => Err(ConfigError::at(origin, "expected KEY=VALUE, for example seed=7")),
         }
     }
 
@@ -63,7 +63,7 @@ impl Override {
                     value: if is_text { toml::Value::String(value.trim().to_owned()) } else { parse_value(&value) },
                     origin: name,
                 }),
-                Err(_) => Err(ConfigError::Value { origin: name, message: "the value is not Unicode".to_owned() }),
+                Err(_) => Err(ConfigError::at(name, "the value is not Unicode")),
             })
         };
         let mut overrides: Vec<Self> = variables.into_iter().filter_map(of_variable).collect::<Result<_, _>>()?;
@@ -84,10 +84,13 @@ impl Override {
         };
         match overrides.iter().find(|given| !is_read(given)) {
             None => Ok(()),
-            Some(given) => Err(ConfigError::Value {
-                origin: given.origin.clone(),
-                message: format!("this command reads {} alone; see its flags for the rest", sections.join(" and ")),
-            }),
+            Some(given) => {
+                let read = sections.join(" and ");
+                Err(ConfigError::at(
+                    &given.origin,
+                    format_args!("this command reads {read} alone; see its flags for the rest"),
+                ))
+            }
         }
     }
 
@@ -101,67 +104,14 @@ impl Override {
             if CHOICES.contains(&section.as_str()) && entry.get(next).is_none() {
                 *entry = empty();
             }
-            let message = format!("`{section}` is a value, not a section");
-            table = entry.as_table_mut().ok_or_else(|| ConfigError::Value { origin: self.origin.clone(), message })?;
+            let no_section = || ConfigError::at(&self.origin, format_args!("`{section}` is a value, not a section"));
+            table = entry.as_table_mut().ok_or_else(no_section)?;
         }
         if key == "kind" && table.get(key) != Some(&self.value) {
             table.clear();
         }
         table.insert(key.clone(), self.value.clone());
         Ok(())
-    }
-}
-
-/// What a file's keys override.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Base {
-    /// The defaults of every setting.
-    Defaults,
-    /// A preset.
-    Preset(&'static Preset),
-}
-
-impl Base {
-    /// Finds a base by name: a preset, or [`NO_BASE`].
-    ///
-    /// # Errors
-    /// Names the existing presets.
-    pub fn find(name: &str) -> Result<Self, ConfigError> {
-        if name == NO_BASE { Ok(Self::Defaults) } else { Preset::find(name).map(Self::Preset) }
-    }
-
-    /// The base that the file `text` names, if any.
-    ///
-    /// # Errors
-    /// When the text is not TOML, or there is no such preset.
-    pub fn named_in(text: &str, origin: &str) -> Result<Option<Self>, ConfigError> {
-        let keys: toml::Table =
-            toml::from_str(text).map_err(|error| ConfigError::from_toml(&error, Some(text), origin))?;
-        keys.get("base").and_then(toml::Value::as_str).map(Self::find).transpose()
-    }
-
-    /// The name that [`Self::find`] finds.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Defaults => NO_BASE,
-            Self::Preset(preset) => preset.name,
-        }
-    }
-
-    fn keys(self) -> Result<toml::Table, ConfigError> {
-        match self {
-            Self::Defaults => Ok(toml::Table::new()),
-            Self::Preset(preset) => with_base(preset.text, preset.name, Self::Defaults),
-        }
-    }
-}
-
-impl std::fmt::Display for Base {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Defaults => f.write_str("the plain defaults"),
-            Self::Preset(preset) => write!(f, "the preset `{}`", preset.name),
-        }
     }
 }
 
@@ -172,7 +122,7 @@ impl Config {
     /// # Errors
     /// Names the line of an unknown key, with the nearest known one, or of a value of the wrong type.
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        merge(text, origin, Base::Defaults, &[])
+        merge(text, origin, &DEFAULTS, &[])
     }
 
     /// A file of the keys that differ from those of `base`; the whole tree, if keys of the base are absent here.
@@ -182,11 +132,9 @@ impl Config {
     ///
     /// # Panics
     /// As [`Self::to_toml`].
-    pub fn changes(&self, base: Base) -> Result<String, ConfigError> {
+    pub fn changes(&self, base: &'static Preset) -> Result<String, ConfigError> {
         let before = merge("", "", base, &[])?.to_table();
-        let mut changed = toml::Value::Table(changed(&before, self.to_table()));
-        shorten(&mut changed);
-        let text = format!("base = \"{}\"\n{}", base.name(), toml::to_string(&changed).expect("a table is TOML"));
+        let text = file(base, &changed(&before, self.to_table()));
         Ok(if Self::parse(&text, "")? == *self { text } else { self.to_toml() })
     }
 }
@@ -195,7 +143,7 @@ impl Config {
 ///
 /// # Errors
 /// Names the file and line, the variable, or the flag with an unknown key or a value of the wrong type.
-pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Result<Config, ConfigError> {
+pub fn merge(text: &str, origin: &str, base: &'static Preset, overrides: &[Override]) -> Result<Config, ConfigError> {
     let mut config = to_config(&with_base(text, origin, base)?, origin)?;
     for layer in overrides {
         // Apply each layer to the whole tree, so that it can set a single key of a choice, and apply layers one at a
@@ -208,14 +156,15 @@ pub fn merge(text: &str, origin: &str, base: Base, overrides: &[Override]) -> Re
 }
 
 /// The keys of the base that the file `text` names, or else of `base`, with the file's keys applied.
-fn with_base(text: &str, origin: &str, base: Base) -> Result<toml::Table, ConfigError> {
+fn with_base(text: &str, origin: &str, base: &'static Preset) -> Result<toml::Table, ConfigError> {
     let refused = |error: toml::de::Error| ConfigError::from_toml(&error, Some(text), origin);
     let mut keys: toml::Table = toml::from_str(text).map_err(refused)?;
     // Deserialize the text rather than the table, because only then does an error know its line.
     let file: Config = toml::from_str(text).map_err(refused)?;
     keys.remove("base");
-    let base = file.base.as_deref().map_or(Ok(base), Base::find)?;
-    let mut table = base.keys()?;
+    let base = file.base.as_deref().map_or(Ok(base), Preset::find)?;
+    let is_empty = base.text.is_empty();
+    let mut table = if is_empty { toml::Table::new() } else { with_base(base.text, base.name, &DEFAULTS)? };
     put_over(&mut table, keys);
     Ok(table)
 }
@@ -286,7 +235,7 @@ mod tests {
 
     /// Merges over the defaults, unless the text names another base.
     fn merge(text: &str, origin: &str, overrides: &[Override]) -> Result<Config, ConfigError> {
-        super::merge(text, origin, Base::Defaults, overrides)
+        super::merge(text, origin, &DEFAULTS, overrides)
     }
 
     #[test]

@@ -26,19 +26,17 @@ pub use error::ConfigError;
 pub(crate) use error::{nearest, suggestion_or};
 pub use keys::{Key, explain, keys, schema};
 pub(crate) use layers::is_whole;
-pub use layers::{Base, Override, merge};
-pub use presets::{DEFAULT_PRESET, PRESETS, Preset};
+pub use layers::{Override, merge};
+pub use presets::{DEFAULT_PRESET, DEFAULTS, PRESETS, Preset};
 pub use variables::check_variables;
 
 /// Maximum size of a configuration file in bytes; one with every setting has about 10 000.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 pub(crate) fn read(path: &Path) -> Result<String, ConfigError> {
-    outside::read_text(path, MAX_FILE_BYTES).map_err(|source| ConfigError::Read { path: path.to_owned(), source })
+    outside::read_text(path, MAX_FILE_BYTES)
+        .map_err(|error| ConfigError::Text(format!("cannot read the configuration {}: {error}", path.display())))
 }
-
-/// Name of the base of a file that overrides the plain defaults.
-pub const NO_BASE: &str = "none";
 
 /// Largest seed, because TOML's integers are signed.
 pub(crate) const MAX_SEED: u64 = i64::MAX as u64;
@@ -82,21 +80,20 @@ impl Config {
     /// # Panics
     /// If a section has a type that TOML cannot express, which the tests rule out.
     pub fn to_toml(&self) -> String {
-        let mut table = toml::Value::Table(self.to_table());
-        shorten(&mut table);
-        format!("base = \"{NO_BASE}\"\n{}", toml::to_string(&table).expect("a table is TOML"))
+        file(&DEFAULTS, &self.to_table())
     }
 
     /// The settings that anyone may read: all but how the processes find each other, and the token of the page.
     pub fn shown(&self) -> serde_json::Value {
         let settings = self.to_table().into_iter().filter(|(name, _)| !["bus", "dashboard"].contains(&name.as_str()));
-        let mut table = toml::Value::Table(settings.collect());
-        shorten(&mut table);
-        serde_json::to_value(table).expect("settings are numbers, words, and lists of them")
+        let settings: toml::Table = settings.collect();
+        serde_json::to_value(settings).expect("settings are numbers, words, and lists of them")
     }
 
     fn to_table(&self) -> toml::Table {
-        toml::Table::try_from(self).expect("every section consists of what TOML can express")
+        let mut table = toml::Table::try_from(self).expect("every section consists of what TOML can express");
+        table.iter_mut().for_each(|(_, value)| shorten(value));
+        table
     }
 
     /// Checks every value, and the constraints between sections.
@@ -131,6 +128,11 @@ impl Config {
         let expected = format_args!("{policy}, as policy.features.n_grippers");
         InvalidSetting::check(key(path, "environment.n_grippers"), worlds, worlds == policy, expected)
     }
+}
+
+/// The file of the keys in `table`, which are put over `base`.
+fn file(base: &Preset, table: &toml::Table) -> String {
+    format!("base = \"{}\"\n{}", base.name, toml::to_string(table).expect("a table is TOML"))
 }
 
 /// Restores numbers to the digits that they were given with: a 32-bit setting is written as 0.04 instead of

@@ -21,6 +21,9 @@ macro_rules! presets {
     };
 }
 
+/// The base of a file that overrides the plain defaults.
+pub static DEFAULTS: Preset = Preset { name: "none", about: "the plain defaults", takes: "", text: "" };
+
 /// The preset that `train` uses by default.
 pub const DEFAULT_PRESET: &str = "quickstart";
 
@@ -36,15 +39,21 @@ pub const PRESETS: &[Preset] = presets![
 ];
 
 impl Preset {
-    /// Finds a preset by name.
+    /// Finds a preset, or [`DEFAULTS`], by name.
     ///
     /// # Errors
     /// Names the existing presets.
     pub fn find(name: &str) -> Result<&'static Self, ConfigError> {
-        PRESETS.iter().find(|preset| preset.name == name).ok_or_else(|| {
+        PRESETS.iter().chain([&DEFAULTS]).find(|preset| preset.name == name).ok_or_else(|| {
             let known: Vec<&str> = PRESETS.iter().map(|preset| preset.name).collect();
             let suggestion = suggestion_or(&nearest(name, known.iter().copied()), ".");
-            ConfigError::Preset(format!("`{name}`{suggestion} The presets are {}", known.join(", ")))
+            let known = known.join(", ");
+            ConfigError::Text(format!("there is no preset `{name}`{suggestion} The presets are {known}"))
         })
+    }
+
+    /// Its name in sentences.
+    pub fn words(&self) -> String {
+        if *self == DEFAULTS { self.about.to_owned() } else { format!("the preset `{}`", self.name) }
     }
 }

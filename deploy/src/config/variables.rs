@@ -46,8 +46,8 @@ pub fn check_variables<'n>(
     let candidates: BTreeSet<String> = known.into_iter().chain(settings).collect();
     let meant = nearest(unknown, candidates.iter().map(String::as_str)).map(|name| format!("{PREFIX}{name}"));
     let rule = "; settings have two underscores between section and key: LODESTONE_LEARNER__GAMMA";
-    let message = format!("there is no such variable{}", suggestion_or(&meant, rule));
-    Err(ConfigError::Value { origin: format!("{PREFIX}{unknown}"), message })
+    let suggestion = suggestion_or(&meant, rule);
+    Err(ConfigError::at(format_args!("{PREFIX}{unknown}"), format_args!("there is no such variable{suggestion}")))
 }
 
 /// All known names without a section.

@@ -8,7 +8,7 @@ use anyhow::Context;
 use blueprints::{Catalog, outside};
 use bus::{Bus, BusConfig};
 use deploy::commands::learner_setup;
-use deploy::config::{Base, merge};
+use deploy::config::{DEFAULTS, merge};
 use deploy::exit::Failure;
 use learner::Learner;
 use proto::codec::{MAX_RECORDING_BYTES, decode_recording};
@@ -77,7 +77,7 @@ pub(crate) async fn router(shutdown: CancellationToken) -> Result<(), Failure> {
 pub(crate) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
     let mut orders = Orders::open(&shutdown);
     let plan: IngestPlan = orders.plan().await?;
-    let config = merge(&plan.config, "the plan", Base::Defaults, &[])?.checked()?;
+    let config = merge(&plan.config, "the plan", &DEFAULTS, &[])?.checked()?;
     let learner = Learner::new(learner_setup(&config, None, Catalog::builtin())?).map_err(anyhow::Error::new)?;
     let Some(bus) = orders.join(&plan.bus).await? else { return Ok(()) };
     let mut sink = Sink::open(&learner, plan.sink, &bus).await?;

@@ -181,7 +181,7 @@ fn planned(settings: axes::Point, args: &SweepArgs) -> Result<PlannedPoint, Fail
     let mut point = PlannedPoint { settings, config: String::new() };
     let named = |error: Failure| Failure::Usage(format!("point {}: {error}", point.name()));
     let loaded = of_point.load(None, flags(args)).map_err(|error| match error {
-        ConfigError::Invalid { .. } => named(error.into()),
+        ConfigError::Invalid(_) => named(error.into()),
         error => error.into(),
     });
     let config = loaded?.config;
