@@ -12,8 +12,8 @@ use proto::SettingsDifference;
 use runlog::HistoryError;
 use tokio::task::JoinError;
 
-use crate::config::{ConfigError, suggestion_or};
-use crate::keys::MakeKeysError;
+use crate::commands::MIN_FILES;
+use crate::config::ConfigError;
 
 /// Exit code of a command that a signal ended early, as shells report it.
 pub const INTERRUPTED: u8 = 130;
@@ -27,46 +27,29 @@ pub enum Failure {
     /// The configuration cannot be used; code 64.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// This process has other settings than its run; code 64.
-    #[error("{0:#}")]
-    OtherSettings(anyhow::Error),
     /// The page cannot be served at the configured address; code 64.
     #[error(transparent)]
     Page(#[from] WebError),
-    /// Keys cannot be made; code 64, 2 if keys already exist, or 66 if a file cannot be read or written.
-    #[error(transparent)]
-    Keys(#[from] MakeKeysError),
-    /// A service is unhealthy; code 1.
-    #[error("{0}")]
-    Unhealthy(String),
     /// The bus cannot be opened, or the connection was lost; code 65.
     #[error("{0:#}")]
     Bus(anyhow::Error),
     /// Blueprint files cannot be read or do not form a catalog; code 64.
     #[error(transparent)]
     Catalog(#[from] blueprints::CatalogError),
-    /// A blueprint, a split, or a recording that was named cannot be used, or what a command makes of it cannot be
-    /// written; code 64.
+    /// A blueprint, a split, a recording, or a host that was named cannot be used, what a command makes of it cannot be
+    /// written, or this process has other settings than its run; code 64.
     #[error("{0}")]
     Input(String),
     /// A checkpoint, a run directory, or a key file cannot be read or written; code 66.
     #[error("{0:#}")]
     Checkpoint(anyhow::Error),
-    /// A run, a checkpoint, or a recording does not exist; code 66.
-    #[error("{} does not exist{}", path.display(), suggestion_or(nearest, ""))]
-    Missing {
-        /// The path given.
-        path: PathBuf,
-        /// The most similar path that exists.
-        nearest: Option<String>,
-    },
     /// No policy can act with the weights of a file; code 66.
     #[error("{0:#}")]
     Weights(anyhow::Error),
     /// The evaluation history of a run cannot be read; code 66.
     #[error(transparent)]
     History(#[from] HistoryError),
-    /// A history or run has nothing to show; code 66.
+    /// A run, a checkpoint, or a recording does not exist, or has nothing to show; code 66.
     #[error("{0}")]
     NothingToShow(String),
     /// A signal ended an evaluation or a recording; partial results have been printed or kept; code 130.
@@ -88,21 +71,16 @@ pub enum Failure {
         "{0:#}; go on from there with `--resume` and other settings, for example a lower learner.optimizer.learning_rate"
     )]
     Diverged(anyhow::Error),
-    /// The system allows too few open files; code 71.
+    /// The system allows this many open files, which are too few; code 71.
     #[error(
-        "this process may have {limit} files open at once, and needs {needed}: raise the limit, for example with \
+        "this process may have {0} files open at once, and needs {MIN_FILES}: raise the limit, for example with \
          `ulimit -n 1024`"
     )]
-    FewFiles {
-        /// The limit.
-        limit: u64,
-        /// What a process needs.
-        needed: u64,
-    },
+    FewFiles(u64),
     /// A signal ended a learner that was asked to say so; code 75.
     #[error("stopped before the run's {0} environment steps; what was learned is saved")]
     Unfinished(u64),
-    /// A service failed while running; code 1.
+    /// A service failed while running, or is unhealthy; code 1.
     #[error("{0:#}")]
     Service(anyhow::Error),
 }
@@ -157,7 +135,7 @@ impl From<anyhow::Error> for Failure {
         if error.is::<Diverged>() {
             Self::Diverged(error)
         } else if error.chain().any(|cause| cause.is::<SettingsDifference>()) {
-            Self::OtherSettings(error)
+            Self::Input(format!("{error:#}"))
         } else if error.chain().any(is_checkpoint) {
             Self::Checkpoint(error)
         } else if error.chain().any(|cause| cause.is::<BusError>()) {
@@ -172,24 +150,14 @@ impl Failure {
     /// The process's exit code.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Usage(_) | Self::Keys(MakeKeysError::Exists(_)) => 2,
-            Self::Checkpoint(_)
-            | Self::Missing { .. }
-            | Self::Weights(_)
-            | Self::History(_)
-            | Self::NothingToShow(_)
-            | Self::Keys(MakeKeysError::Io { .. }) => 66,
-            Self::Config(_)
-            | Self::OtherSettings(_)
-            | Self::Keys(_)
-            | Self::Page(_)
-            | Self::Catalog(_)
-            | Self::Input(_) => 64,
+            Self::Usage(_) => 2,
+            Self::Config(_) | Self::Page(_) | Self::Catalog(_) | Self::Input(_) => 64,
             Self::Bus(_) => 65,
+            Self::Checkpoint(_) | Self::Weights(_) | Self::History(_) | Self::NothingToShow(_) => 66,
             Self::Diverged(_) => 67,
-            Self::FewFiles { .. } => 71,
+            Self::FewFiles(_) => 71,
             Self::Unfinished(_) => 75,
-            Self::Service(_) | Self::Unhealthy(_) | Self::Output(_) => 1,
+            Self::Service(_) | Self::Output(_) => 1,
             Self::Interrupted { .. } | Self::NothingWritten(_) => INTERRUPTED,
         })
     }
@@ -223,8 +191,5 @@ mod tests {
         // Supervisors start again after 66, but not after 64.
         assert_eq!(code(io::ErrorKind::StaleNetworkFileHandle), ExitCode::from(66));
         assert_eq!(code(io::ErrorKind::NotFound), ExitCode::from(64));
-        let full = |kind: io::ErrorKind| MakeKeysError::Io { path: "keys/router".into(), source: kind.into() };
-        assert_eq!(Failure::from(full(io::ErrorKind::StorageFull)).exit_code(), ExitCode::from(66));
-        assert_eq!(Failure::from(MakeKeysError::Exists("keys".into())).exit_code(), ExitCode::from(2));
     }
 }

@@ -7,6 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use anyhow::anyhow;
 use blueprints::outside;
 use bus::{Bus, JoinCounts, unix_ms};
 use dashboard::waits;
@@ -112,12 +113,12 @@ impl Drop for Reporter {
 /// unless `alive` is set, it reaches a router.
 ///
 /// # Errors
-/// [`Failure::Unhealthy`] with the reason.
+/// [`Failure::Service`] with the reason.
 pub(crate) fn check(file: &Path, alive: bool) -> Result<State, Failure> {
     let text = outside::read_text(file, MAX_BYTES)
-        .map_err(|error| Failure::Unhealthy(format!("no service reports at {}: {error}", file.display())))?;
+        .map_err(|error| Failure::Service(anyhow!("no service reports at {}: {error}", file.display())))?;
     let state: State = serde_json::from_str(&text)
-        .map_err(|error| Failure::Unhealthy(format!("{} holds no state: {error}", file.display())))?;
+        .map_err(|error| Failure::Service(anyhow!("{} holds no state: {error}", file.display())))?;
     let role = &state.role;
     // A state from the future was left behind before the clock was set back.
     let age = Duration::from_millis(unix_ms().abs_diff(state.unix_ms));
@@ -132,7 +133,7 @@ pub(crate) fn check(file: &Path, alive: bool) -> Result<State, Failure> {
     } else {
         return Ok(state);
     };
-    Err(Failure::Unhealthy(reason))
+    Err(Failure::Service(anyhow!(reason)))
 }
 
 fn state(role: &str, connected: bool, idle: Duration) -> State {

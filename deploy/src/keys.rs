@@ -1,13 +1,15 @@
 //! Keys of a run: its own certificate authority, and a certificate and a password for each role.
 
+use std::fmt::Display;
 use std::fs::{self, DirBuilder, OpenOptions};
 use std::io::{self, Write};
 use std::net::IpAddr;
 use std::ops::Range;
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::SystemTime;
 
+use anyhow::anyhow;
 use blueprints::outside;
 use bus::security::{AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE, PASSWORD_FILE, ROLES, USERS_FILE};
 use rcgen::{
@@ -15,6 +17,7 @@ use rcgen::{
 };
 use time::{Duration, OffsetDateTime};
 
+use crate::exit::Failure;
 use crate::names::random_text;
 
 /// Folder of the authority, whose key signs certificates. The processes of a run do not need it.
@@ -27,7 +30,7 @@ const ROUTER: &str = "router";
 const UNFINISHED: &str = ".unfinished";
 
 /// A function that durably writes a new file.
-type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str) -> Result<(), MakeKeysError>;
+type WriteFile<'w> = &'w mut dyn FnMut(&Path, &str) -> Result<(), Failure>;
 
 /// Certificates are valid from this long before they are made, because clocks differ between machines.
 const CLOCK_SLACK: Duration = Duration::hours(1);
@@ -37,42 +40,6 @@ const N_PASSWORD_CHARACTERS: usize = 32;
 
 /// Maximum size of a key file in bytes; they have a few hundred.
 const MAX_BYTES: u64 = 1 << 20;
-
-/// Reasons why keys cannot be made.
-#[derive(Debug, thiserror::Error)]
-pub enum MakeKeysError {
-    /// The folder already holds keys.
-    #[error("{} holds keys already; remove it, or choose another folder", .0.display())]
-    Exists(PathBuf),
-    /// There is no authority that can sign.
-    #[error("{} holds no authority that could sign: {reason}", folder.display())]
-    NoAuthority {
-        /// Where the authority was expected.
-        folder: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
-    /// A host name that is not valid.
-    #[error("`{0}` is neither an address nor a name of letters, digits, hyphens and dots")]
-    Host(String),
-    /// The system's random number generator or the cryptography failed.
-    #[error("making a key: {0}")]
-    Crypto(String),
-    /// A file or folder cannot be read or written.
-    #[error("cannot use {}: {source}", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The error of the file system.
-        source: io::Error,
-    },
-}
-
-impl From<rcgen::Error> for MakeKeysError {
-    fn from(error: rcgen::Error) -> Self {
-        Self::Crypto(error.to_string())
-    }
-}
 
 /// Whether `folder` holds keys that [`create`] made.
 pub fn exist(folder: &Path) -> bool {
@@ -87,18 +54,19 @@ pub fn exist(folder: &Path) -> bool {
 ///
 /// # Errors
 /// When `folder` already holds keys, a host is not valid, or nothing can be written.
-pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKeysError> {
+pub fn create(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), Failure> {
     create_with(folder, hosts, n_days, &mut write)
 }
 
 /// Like [`create`], but writes each file with `write`.
-fn create_with(folder: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
+fn create_with(folder: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), Failure> {
     let unfinished = folder.join(UNFINISHED);
     if unfinished.exists() {
         remove_made(folder)?;
     }
     if folder.join(AUTHORITY).exists() || ROLES.iter().any(|role| folder.join(role).join(CERTIFICATE_FILE).exists()) {
-        return Err(MakeKeysError::Exists(folder.to_owned()));
+        let shown = folder.display();
+        return Err(Failure::Usage(format!("{shown} holds keys already; remove it, or choose another folder")));
     }
     check_hosts(hosts)?;
     make_folder(folder)?;
@@ -117,7 +85,7 @@ fn folders() -> impl Iterator<Item = &'static str> {
 
 /// Removes what a call left behind that was interrupted. A role's folder may be a volume of its own, which can neither be
 /// removed nor get another name.
-fn remove_made(folder: &Path) -> Result<(), MakeKeysError> {
+fn remove_made(folder: &Path) -> Result<(), Failure> {
     for name in folders() {
         let path = folder.join(name);
         for file in [AUTHORITY_FILE, KEY_FILE, CERTIFICATE_FILE, PASSWORD_FILE, USERS_FILE] {
@@ -130,13 +98,13 @@ fn remove_made(folder: &Path) -> Result<(), MakeKeysError> {
 }
 
 /// Makes all keys in the folder `into`. The router's password comes last: nothing works without it.
-fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), MakeKeysError> {
+fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -> Result<(), Failure> {
     let valid = valid_from_now(n_days);
-    let authority_key = KeyPair::generate()?;
+    let authority_key = KeyPair::generate().map_err(unmade)?;
     let mut authority = parameters("Lodestone run", &valid);
     authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-    let authority_pem = authority.self_signed(&authority_key)?.pem();
+    let authority_pem = authority.self_signed(&authority_key).map_err(unmade)?.pem();
     let authority_key_pem = authority_key.serialize_pem();
     let issuer = Issuer::new(authority, authority_key);
 
@@ -144,7 +112,7 @@ fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -
     write(&into.join(AUTHORITY).join(CERTIFICATE_FILE), &authority_pem)?;
     write(&into.join(AUTHORITY).join(KEY_FILE), &authority_key_pem)?;
     let passwords = ROLES.map(|role| Ok(format!("{role}:{}\n", password()?)));
-    let passwords = passwords.into_iter().collect::<Result<Vec<String>, MakeKeysError>>()?;
+    let passwords = passwords.into_iter().collect::<Result<Vec<String>, Failure>>()?;
     write(&into.join(ROUTER).join(USERS_FILE), &passwords.concat())?;
     for role in ROLES {
         let (certificate, key) = certificate(role, hosts, &valid, &issuer)?;
@@ -161,15 +129,17 @@ fn write_all(into: &Path, hosts: &[String], n_days: u32, write: WriteFile<'_>) -
 ///
 /// # Errors
 /// When there is no authority, a host is not valid, or nothing can be written; the old certificate then stays.
-pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), MakeKeysError> {
+pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), Failure> {
     check_hosts(hosts)?;
     let authority = folder.join(AUTHORITY);
-    let absent = |reason: String| MakeKeysError::NoAuthority { folder: authority.clone(), reason };
+    let absent = |reason: String| {
+        Failure::Input(format!("{} holds no authority that could sign: {reason}", authority.display()))
+    };
     let read = |name: &str| {
         let path = authority.join(name);
-        outside::read_text(&path, MAX_BYTES).map_err(|source| match source.kind() {
-            io::ErrorKind::NotFound => absent(format!("{}: {source}", path.display())),
-            _ => MakeKeysError::Io { path, source },
+        outside::read_text(&path, MAX_BYTES).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => absent(format!("{}: {error}", path.display())),
+            _ => unusable(&path)(error),
         })
     };
     let key = KeyPair::from_pem(&read(KEY_FILE)?).map_err(|error| absent(error.to_string()))?;
@@ -183,17 +153,19 @@ pub fn renew_router(folder: &Path, hosts: &[String], n_days: u32) -> Result<(), 
     }
     [KEY_FILE, CERTIFICATE_FILE].into_iter().try_for_each(|name| {
         let path = folder.join(ROUTER).join(name);
-        fs::rename(new(name), &path).map_err(|source| MakeKeysError::Io { path, source })
+        fs::rename(new(name), &path).map_err(unusable(&path))
     })
 }
 
 /// Rejects hosts that rcgen accepts but that no client would ever match.
-fn check_hosts(hosts: &[String]) -> Result<(), MakeKeysError> {
+fn check_hosts(hosts: &[String]) -> Result<(), Failure> {
     let is_label =
         |label: &str| !label.is_empty() && label.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'-' || c == b'_');
     let is_host = |host: &str| host.parse::<IpAddr>().is_ok() || host.split('.').all(is_label);
     match hosts.iter().find(|host| !is_host(host)) {
-        Some(host) => Err(MakeKeysError::Host(host.clone())),
+        Some(host) => Err(Failure::Input(format!(
+            "`{host}` is neither an address nor a name of letters, digits, hyphens and dots"
+        ))),
         None => Ok(()),
     }
 }
@@ -218,8 +190,8 @@ fn certificate(
     hosts: &[String],
     valid: &Range<OffsetDateTime>,
     issuer: &Issuer<'_, KeyPair>,
-) -> Result<(String, String), MakeKeysError> {
-    let key = KeyPair::generate()?;
+) -> Result<(String, String), Failure> {
+    let key = KeyPair::generate().map_err(unmade)?;
     let mut params = parameters(role, valid);
     params.is_ca = IsCa::ExplicitNoCa;
     params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
@@ -227,34 +199,40 @@ fn certificate(
     params.use_authority_key_identifier_extension = true;
     if role == ROUTER {
         params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
-        params.subject_alt_names = CertificateParams::new(hosts)?.subject_alt_names;
+        params.subject_alt_names = CertificateParams::new(hosts).map_err(unmade)?.subject_alt_names;
     }
-    Ok((params.signed_by(&key, issuer)?.pem(), key.serialize_pem()))
+    Ok((params.signed_by(&key, issuer).map_err(unmade)?.pem(), key.serialize_pem()))
 }
 
-fn password() -> Result<String, MakeKeysError> {
+fn password() -> Result<String, Failure> {
     const CHARACTERS: &[u8; 62] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789";
-    random_text(CHARACTERS, N_PASSWORD_CHARACTERS).map_err(|error| MakeKeysError::Crypto(error.to_string()))
+    random_text(CHARACTERS, N_PASSWORD_CHARACTERS).map_err(unmade)
 }
 
-fn make_folder(path: &Path) -> Result<(), MakeKeysError> {
-    let made = DirBuilder::new().recursive(true).mode(0o700).create(path);
-    made.map_err(|source| MakeKeysError::Io { path: path.to_owned(), source })
+fn make_folder(path: &Path) -> Result<(), Failure> {
+    DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(unusable(path))
 }
 
-fn write(path: &Path, content: &str) -> Result<(), MakeKeysError> {
+fn write(path: &Path, content: &str) -> Result<(), Failure> {
     let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
-    file.and_then(|mut file| file.write_all(content.as_bytes()).and_then(|()| file.sync_all()))
-        .map_err(|source| MakeKeysError::Io { path: path.to_owned(), source })
+    file.and_then(|mut file| file.write_all(content.as_bytes()).and_then(|()| file.sync_all())).map_err(unusable(path))
 }
 
-fn remove_if_there(path: &Path) -> Result<(), MakeKeysError> {
+fn remove_if_there(path: &Path) -> Result<(), Failure> {
     match fs::remove_file(path) {
-        Err(source) if source.kind() != io::ErrorKind::NotFound => {
-            Err(MakeKeysError::Io { path: path.to_owned(), source })
-        }
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(unusable(path)(error)),
         _ => Ok(()),
     }
+}
+
+/// For `map_err`: names the file or folder that cannot be read or written.
+fn unusable(path: &Path) -> impl Fn(io::Error) -> Failure {
+    move |error| Failure::Checkpoint(anyhow!("cannot use {}: {error}", path.display()))
+}
+
+/// The system's random number generator or the cryptography failed.
+fn unmade(error: impl Display) -> Failure {
+    Failure::Input(format!("making a key: {error}"))
 }
 
 #[cfg(test)]
@@ -271,11 +249,11 @@ mod tests {
     }
 
     /// Makes keys, and fails at the file with this number, as on a full disk. Returns how many were written.
-    fn failing(folder: &Path, at: usize) -> (usize, Result<(), MakeKeysError>) {
+    fn failing(folder: &Path, at: usize) -> (usize, Result<(), Failure>) {
         let mut n_written = 0;
         let made = create_with(folder, &["localhost".to_owned()], 1, &mut |path, content| {
             if n_written == at {
-                return Err(MakeKeysError::Io { path: path.to_owned(), source: io::ErrorKind::StorageFull.into() });
+                return Err(unusable(path)(io::ErrorKind::StorageFull.into()));
             }
             n_written += 1;
             write(path, content)
@@ -290,12 +268,12 @@ mod tests {
         let n_files = 2 + 1 + 4 * ROLES.len();
         for at in 0..n_files {
             let (n_written, made) = failing(&keys, at);
-            assert!(n_written == at && matches!(made, Err(MakeKeysError::Io { .. })), "{at}: {made:?}");
+            assert!(n_written == at && matches!(made, Err(Failure::Checkpoint(_))), "{at}: {made:?}");
             assert!(names(&keys).is_empty(), "{at}: {:?}", names(&keys));
         }
         let (n_written, made) = failing(&keys, n_files);
         assert!(n_written == n_files && made.is_ok() && exist(&keys), "{made:?}");
-        assert!(matches!(failing(&keys, n_files).1, Err(MakeKeysError::Exists(_))));
+        assert!(matches!(failing(&keys, n_files).1, Err(Failure::Usage(_))));
     }
 
     #[test]

@@ -14,7 +14,7 @@ use serde_json::Value;
 use time::OffsetDateTime;
 
 use crate::cli::RunArgs;
-use crate::config::{Config, Preset, nearest};
+use crate::config::{Config, Preset, nearest, suggestion_or};
 use crate::exit::Failure;
 use crate::replace::{PLAIN, SECRET, replace};
 use crate::shell;
@@ -110,7 +110,7 @@ pub(crate) fn origin_of(paths: &RunPaths, config: &Config) -> Value {
 /// Checks that a run, a checkpoint, or a recording exists.
 ///
 /// # Errors
-/// [`Failure::Missing`] with the path that is most like the given one where the two part.
+/// [`Failure::NothingToShow`] with the path that is most like the given one where the two part.
 pub(crate) fn check_exists(path: &Path) -> Result<(), Failure> {
     if path.exists() {
         return Ok(());
@@ -126,7 +126,7 @@ pub(crate) fn check_exists(path: &Path) -> Result<(), Failure> {
         let listed = names.iter().map(String::as_str).filter(|name| !name.starts_with('.'));
         Some(folder.join(nearest(&name, listed)?).display().to_string())
     });
-    Err(Failure::Missing { path: path.to_owned(), nearest: alike })
+    Err(Failure::NothingToShow(format!("{} does not exist{}", path.display(), suggestion_or(&alike, ""))))
 }
 
 /// Checks that a folder is that of a run.
@@ -395,17 +395,17 @@ mod tests {
         for run in ["2026-11-26T0800-quickstart", "2026-11-26T0900-laptop", ".2026-11-26T0800-quickstrat.swp"] {
             fs::create_dir_all(path(run).join("checkpoints/step-2048")).unwrap();
         }
-        let nearest = |name: &str| match check_exists(&path(name)).unwrap_err() {
-            Failure::Missing { nearest, .. } => nearest,
-            other => panic!("{other}"),
+        let refused = |name: &str, suggestion: &str| {
+            let message = check_exists(&path(name)).unwrap_err().to_string();
+            assert_eq!(message, format!("{} does not exist{suggestion}", path(name).display()));
         };
-        let meant = |name: &str| Some(path(name).display().to_string());
+        let meant = |name: &str| format!("; did you mean `{}`?", path(name).display());
         let run = "2026-11-26T0800-quickstart";
-        assert_eq!(nearest("2026-11-26T0800-quickstrat"), meant(run));
-        assert_eq!(nearest("2026-11-26T0800-quickstrat/checkpoints/step-2048"), meant(run));
+        refused("2026-11-26T0800-quickstrat", &meant(run));
+        refused("2026-11-26T0800-quickstrat/checkpoints/step-2048", &meant(run));
         let checkpoints = format!("{run}/checkpoints/");
-        assert_eq!(nearest(&format!("{checkpoints}step-2047")), meant(&format!("{checkpoints}step-2048")));
-        assert_eq!(nearest("zzz"), None);
+        refused(&format!("{checkpoints}step-2047"), &meant(&format!("{checkpoints}step-2048")));
+        refused("zzz", "");
         assert!(check_exists(&path(run)).is_ok());
         let message = check_run(&path("gone")).unwrap_err().to_string();
         assert_eq!(message, format!("{} does not exist", path("gone").display()));

@@ -17,7 +17,7 @@ const LAST_THREADS: Duration = Duration::from_millis(250);
 
 /// Files that a process must be allowed to open: `train` with a page has 26 open, and browsers, videos, and actors that
 /// join need more. Libraries panic where a file cannot be opened, so this is checked before they start.
-const MIN_FILES: u64 = 64;
+pub(crate) const MIN_FILES: u64 = 64;
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.
 ///
@@ -53,7 +53,7 @@ fn allow_many_files() -> Result<(), Failure> {
         tracing::debug!(%error, "the limit of open files stays at {current:?}");
     }
     match getrlimit(Resource::Nofile).current {
-        Some(limit) if limit < MIN_FILES => Err(Failure::FewFiles { limit, needed: MIN_FILES }),
+        Some(limit) if limit < MIN_FILES => Err(Failure::FewFiles(limit)),
         _ => Ok(()),
     }
 }
