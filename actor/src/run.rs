@@ -192,7 +192,7 @@ async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
                 let mut drops = shared.dropped.lock();
                 match error {
                     SendError::Refused(_) => drops.invalid_total += 1,
-                    SendError::TooLarge { .. } => drops.too_large_total += 1,
+                    SendError::TooLarge(_) => drops.too_large_total += 1,
                     _ => drops.failed_total += 1,
                 }
                 return Sent::Done;

@@ -49,13 +49,8 @@ pub enum FilterError {
     #[error("blueprint {0} is not in the training split of the catalog")]
     NotForTraining(BlueprintId),
     /// No training blueprint has a size in the range.
-    #[error("no training blueprint has between {min} and {max} blocks")]
-    NoSuchSize {
-        /// Requested minimum number of blocks.
-        min: usize,
-        /// Requested maximum number of blocks.
-        max: usize,
-    },
+    #[error("no training blueprint has between {0} and {1} blocks")]
+    NoSuchSize(usize, usize),
     /// The list of blueprints is empty.
     #[error("the list of goals is empty")]
     Empty,
@@ -99,7 +94,7 @@ impl TaskFilter {
         ids.dedup();
         match (ids.is_empty(), self) {
             (false, _) => Ok(ids),
-            (true, Self::Sizes { min, max }) => Err(FilterError::NoSuchSize { min: *min, max: *max }),
+            (true, Self::Sizes { min, max }) => Err(FilterError::NoSuchSize(*min, *max)),
             (true, _) => Err(FilterError::Empty),
         }
     }

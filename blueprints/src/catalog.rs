@@ -41,71 +41,12 @@ pub struct Catalog {
 /// Reasons to reject a catalog.
 #[derive(Debug, thiserror::Error)]
 pub enum CatalogError {
-    /// A folder or file cannot be read, or a file is larger than [`MAX_FILE_BYTES`].
-    #[error("cannot read {path}: {error}")]
-    Io {
-        /// The folder or file.
-        path: PathBuf,
-        /// The cause.
-        #[source]
-        error: io::Error,
-    },
-    /// A file is not UTF-8 text.
-    #[error("{path} is not UTF-8 text: line {line} has the byte {byte:#04x}; save it as UTF-8")]
-    NotText {
-        /// The file.
-        path: PathBuf,
-        /// The line of the first invalid byte, counted from 1.
-        line: usize,
-        /// The invalid byte.
-        byte: u8,
-    },
     /// A file is not a valid blueprint.
     #[error(transparent)]
     Blueprint(#[from] BlueprintFileError),
-    /// No blueprint was found.
-    #[error("the folder {0} holds no blueprint; name one with files called *.toml")]
-    Empty(PathBuf),
-    /// A file is not named after its blueprint.
-    #[error("{file}: the file of blueprint {id} must be called {id}.toml")]
-    FileName {
-        /// Name of the file.
-        file: String,
-        /// The id in the file.
-        id: BlueprintId,
-    },
-    /// Two files have the same id.
-    #[error("{file}: the id {id} is taken by another file")]
-    DuplicateId {
-        /// Name of the later file.
-        file: String,
-        /// The id.
-        id: BlueprintId,
-    },
-    /// Two files have the same structure, up to rotation and the choice among identical blocks.
-    #[error("{file}: {id} is the same structure as {other}")]
-    DuplicateStructure {
-        /// Name of the later file.
-        file: String,
-        /// Id of the later blueprint.
-        id: BlueprintId,
-        /// Id of the earlier one.
-        other: BlueprintId,
-    },
-    /// A held-out structure is also in the training split.
-    #[error("{file}: {id} ({split}) is the same structure as {other} ({other_split}); training would see a test")]
-    SplitOverlap {
-        /// Name of the later file.
-        file: String,
-        /// Id of the later blueprint.
-        id: BlueprintId,
-        /// Its split.
-        split: Split,
-        /// Id of the earlier one.
-        other: BlueprintId,
-        /// The earlier one's split.
-        other_split: Split,
-    },
+    /// A folder or file cannot be read or is not text, there is none, or two files contradict each other.
+    #[error("{0}")]
+    Files(String),
 }
 
 impl Catalog {
@@ -154,7 +95,7 @@ impl Catalog {
         for (file, blueprint) in &files {
             let id = blueprint.id();
             if Path::new(file).file_name().and_then(|name| name.to_str()) != Some(&format!("{id}.toml")) {
-                return Err(CatalogError::FileName { file: (*file).to_owned(), id: id.clone() });
+                return refused(format!("{file}: the file of blueprint {id} must be called {id}.toml"));
             }
         }
         Self::from_checked(files)
@@ -177,17 +118,19 @@ impl Catalog {
         let mut blueprints: Vec<Blueprint> = Vec::new();
         let mut by_hash: BTreeMap<u64, (BlueprintId, Split)> = BTreeMap::new();
         for (file, blueprint) in files {
-            let file = file.to_owned();
             let id = blueprint.id().clone();
             let split = blueprint.split();
             if blueprints.iter().any(|other| *other.id() == id) {
-                return Err(CatalogError::DuplicateId { file, id });
+                return refused(format!("{file}: the id {id} is taken by another file"));
             }
             if let Some((other, other_split)) = by_hash.insert(blueprint.canonical_hash(), (id.clone(), split)) {
-                return Err(if (split == Split::Train) == (other_split == Split::Train) {
-                    CatalogError::DuplicateStructure { file, id, other }
+                return refused(if (split == Split::Train) == (other_split == Split::Train) {
+                    format!("{file}: {id} is the same structure as {other}")
                 } else {
-                    CatalogError::SplitOverlap { file, id, split, other, other_split }
+                    format!(
+                        "{file}: {id} ({split}) is the same structure as {other} ({other_split}); training would see a \
+                         test"
+                    )
                 });
             }
             blueprints.push(blueprint);
@@ -251,12 +194,11 @@ impl Catalog {
 /// a folder, names that begin with a dot are passed over: they are the locks and copies of editors and file systems.
 ///
 /// # Errors
-/// [`CatalogError::Empty`] for a folder without such files, [`CatalogError::Io`] with the path that cannot be read, or
-/// [`CatalogError::NotText`].
+/// If a folder has no such files, or a file cannot be read, is larger than [`MAX_FILE_BYTES`], or is not UTF-8 text.
 pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
     let failed = |path: &Path| {
-        let path = path.to_owned();
-        |error: io::Error| CatalogError::Io { path, error }
+        let path = path.display().to_string();
+        move |error: io::Error| CatalogError::Files(format!("cannot read {path}: {error}"))
     };
     let mut paths = Vec::new();
     if path.is_dir() {
@@ -269,7 +211,8 @@ pub fn read_files(path: &Path) -> Result<Vec<(String, String)>, CatalogError> {
         }
         // Do not return an empty list, because it would pass every check.
         if paths.is_empty() {
-            return Err(CatalogError::Empty(path.to_owned()));
+            let shown = path.display();
+            return refused(format!("the folder {shown} holds no blueprint; name one with files called *.toml"));
         }
         paths.sort();
     } else {
@@ -293,8 +236,15 @@ fn text_of(path: &Path, bytes: Vec<u8>) -> Result<String, CatalogError> {
     String::from_utf8(bytes).map_err(|error| {
         let bytes = error.as_bytes();
         let at = error.utf8_error().valid_up_to();
-        CatalogError::NotText { path: path.to_owned(), line: line_at(bytes, at), byte: bytes[at] }
+        let (shown, line, byte) = (path.display(), line_at(bytes, at), bytes[at]);
+        CatalogError::Files(format!(
+            "{shown} is not UTF-8 text: line {line} has the byte {byte:#04x}; save it as UTF-8"
+        ))
     })
+}
+
+fn refused<T>(why: String) -> Result<T, CatalogError> {
+    Err(CatalogError::Files(why))
 }
 
 #[cfg(test)]

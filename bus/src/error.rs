@@ -1,11 +1,8 @@
 //! Errors of the bus.
 
-use std::io;
-use std::path::PathBuf;
-
 use super::KeysError;
 use proto::Role;
-use proto::codec::{DecodeError, Refusal};
+use proto::codec::{DecodeError, MAX_TRAJECTORY_BYTES, MAX_WEIGHTS_BYTES, Refusal};
 
 /// An error of a session.
 #[derive(Debug, thiserror::Error)]
@@ -13,33 +10,13 @@ pub enum BusError {
     /// The keys cannot be used.
     #[error(transparent)]
     Keys(#[from] KeysError),
-    /// An encrypted endpoint cannot be listened on.
-    #[error("listening on {endpoint}: {error}")]
-    Listen {
-        /// The endpoint.
-        endpoint: String,
-        /// The system's error.
-        error: io::Error,
-    },
-    /// No folder can be made for the sockets that lead to encrypted connections.
-    #[error("no folder for sockets can be made in {}: {error}", folder.display())]
-    Room {
-        /// The system's folder for temporary files.
-        folder: PathBuf,
-        /// The system's error.
-        error: io::Error,
-    },
     /// The clock is before 1970, and zenoh would panic in some thread.
     #[error("the clock of this machine is before 1970, and messages carry its time: set it")]
     Clock,
-    /// Zenoh returned an error.
-    #[error("{action}: {}", reason(error))]
-    Zenoh {
-        /// The failed operation.
-        action: String,
-        /// Zenoh's error. It is not a source, because its source locations would then be printed after the reason.
-        error: zenoh::Error,
-    },
+    /// This operation failed in zenoh or the system. The error is not a source, because the source locations in zenoh's
+    /// would then be printed after the reason.
+    #[error("{0}: {reason}", reason = reason(.1))]
+    Failed(String, zenoh::Error),
     /// A name is not valid in a key.
     #[error("name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
     Name(String),
@@ -54,29 +31,16 @@ pub enum BusError {
     /// The router did not say in time which processes are alive.
     #[error("the router does not say which processes are alive; see that it runs and is not overloaded")]
     NoAnswer,
-    /// Metrics cannot be serialized as JSON.
-    #[error("metrics {key} cannot be written as JSON")]
-    Json {
-        /// Their key.
-        key: String,
-        /// The serializer's error.
-        source: serde_json::Error,
-    },
     /// Weights exceed the size that receivers accept.
-    #[error("weights of {bytes} bytes are larger than the limit of {limit} bytes")]
-    TooLarge {
-        /// Encoded size.
-        bytes: usize,
-        /// Largest size allowed.
-        limit: usize,
-    },
+    #[error("weights of {0} bytes are larger than the limit of {MAX_WEIGHTS_BYTES} bytes")]
+    TooLarge(usize),
 }
 
 impl BusError {
-    /// For `map_err`: names the operation that failed in zenoh.
+    /// For `map_err`: names the operation that failed.
     pub(super) fn during(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
-        move |error| Self::Zenoh { action, error }
+        move |error| Self::Failed(action, error)
     }
 }
 
@@ -121,13 +85,8 @@ pub enum SendError {
     #[error("the learner gave no answer")]
     NoReply,
     /// The trajectory exceeds the size that the learner accepts.
-    #[error("a trajectory of {bytes} bytes is larger than the limit of {limit} bytes")]
-    TooLarge {
-        /// Encoded size.
-        bytes: usize,
-        /// Largest size allowed.
-        limit: usize,
-    },
+    #[error("a trajectory of {0} bytes is larger than the limit of {MAX_TRAJECTORY_BYTES} bytes")]
+    TooLarge(usize),
     /// The answer is invalid.
     #[error("the learner's answer cannot be read: {0}")]
     BadReply(#[from] DecodeError),

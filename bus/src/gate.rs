@@ -138,7 +138,8 @@ impl Drop for Gate {
 
 /// Makes the folder of the Unix sockets, which only this user can enter.
 fn room() -> Result<TempDir, BusError> {
-    let unusable = |error| BusError::Room { folder: std::env::temp_dir(), error };
+    let making = || format!("no folder for sockets can be made in {}", std::env::temp_dir().display());
+    let unusable = |error: io::Error| BusError::during(making())(error.into());
     let private = Permissions::from_mode(0o700);
     let room = tempfile::Builder::new().prefix("lodestone-bus-").permissions(private).tempdir().map_err(unusable)?;
     // The longest name in it, with what zenoh adds for its lock.

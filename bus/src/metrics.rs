@@ -179,6 +179,6 @@ impl Inbox {
 }
 
 fn json(key: &str, value: &impl Serialize) -> Result<ZBytes, BusError> {
-    let json = serde_json::to_vec(value).map_err(|source| BusError::Json { key: key.to_owned(), source })?;
-    Ok(ZBytes::from(json))
+    let json = serde_json::to_vec(value);
+    Ok(ZBytes::from(json.map_err(|error| BusError::during(format!("writing {key} as JSON"))(error.into()))?))
 }

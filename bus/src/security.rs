@@ -4,6 +4,7 @@
 //! presents a certificate of the run's own authority and a password, both of the same role, and gets the rights that
 //! `access` grants that role. Everything else is denied.
 
+use std::fmt::Display;
 use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
@@ -43,37 +44,21 @@ settings! {
 }
 
 /// Errors of reading keys.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum KeysError {
     /// A file is missing or cannot be read.
-    #[error("cannot read the key file {}: {reason}; `lodestone keys new DIR` makes a folder of keys for each role", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The kind of the system's error.
-        kind: io::ErrorKind,
-        /// The system's error.
-        reason: String,
-    },
-    /// A file does not have the expected content.
-    #[error("the key file {} {reason}", path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// The error.
-        reason: String,
-    },
-    /// A certificate has expired or is not yet valid.
-    #[error("the certificate {} is valid {validity}, which is not now; make new keys with `lodestone keys new`, or check the clock", path.display())]
-    Expired {
-        /// The file.
-        path: PathBuf,
-        /// The period of validity.
-        validity: String,
-    },
-    /// A router needs the passwords of all roles, but the folder belongs to another role.
-    #[error("{} has no file `users`: a process that others connect to needs the keys of the role `router`", .0.display())]
-    NotARouter(PathBuf),
+    #[error("cannot read the key file {0}: {1}; `lodestone keys new DIR` makes a folder of keys for each role")]
+    Unreadable(PathBuf, io::Error),
+    /// A file does not have the expected content, a certificate is not valid now, or the folder belongs to a role that
+    /// others cannot connect to.
+    #[error("{0}")]
+    Unusable(String),
+}
+
+impl KeysError {
+    pub(super) fn of_file(path: &Path, reason: impl Display) -> Self {
+        Self::Unusable(format!("the key file {} {reason}", path.display()))
+    }
 }
 
 /// The keys of one role, checked to be complete and valid now.
@@ -92,14 +77,17 @@ impl Keys {
         }
         read(&folder.join(KEY_FILE))?;
         if listens && !folder.join(USERS_FILE).is_file() {
-            return Err(KeysError::NotARouter(folder.to_owned()));
+            let shown = folder.display();
+            return Err(KeysError::Unusable(format!(
+                "{shown} has no file `users`: a process that others connect to needs the keys of the role `router`"
+            )));
         }
         let path = folder.join(PASSWORD_FILE);
         let text = read(&path)?;
         let Some((user, password)) =
             text.trim().split_once(':').filter(|(user, word)| !user.is_empty() && !word.is_empty())
         else {
-            return Err(KeysError::Malformed { path, reason: "does not hold `role:password`".to_owned() });
+            return Err(KeysError::of_file(&path, "does not hold `role:password`"));
         };
         Ok(Self { folder: folder.to_owned(), user: user.to_owned(), password: password.to_owned() })
     }
@@ -179,16 +167,12 @@ fn host_and_port(endpoint: &str) -> Option<(&str, u16)> {
 }
 
 fn read(path: &Path) -> Result<String, KeysError> {
-    outside::read_text(path, MAX_KEY_BYTES).map_err(|error| KeysError::Unreadable {
-        path: path.to_owned(),
-        kind: error.kind(),
-        reason: error.to_string(),
-    })
+    outside::read_text(path, MAX_KEY_BYTES).map_err(|error| KeysError::Unreadable(path.to_owned(), error))
 }
 
 /// Checks the certificate here because zenoh would silently retry forever with an invalid one.
 fn check_validity(path: &Path) -> Result<(), KeysError> {
-    let malformed = |reason: &str| KeysError::Malformed { path: path.to_owned(), reason: reason.to_owned() };
+    let malformed = |reason: &str| KeysError::of_file(path, reason);
     let text = read(path)?;
     let (_, pem) = parse_x509_pem(text.as_bytes()).map_err(|_| malformed("holds no PEM block"))?;
     let (_, certificate) =
@@ -199,8 +183,13 @@ fn check_validity(path: &Path) -> Result<(), KeysError> {
     if (validity.not_before.timestamp()..=validity.not_after.timestamp()).contains(&now) {
         return Ok(());
     }
-    let validity = format!("from {} to {}", validity.not_before, validity.not_after);
-    Err(KeysError::Expired { path: path.to_owned(), validity })
+    Err(KeysError::Unusable(format!(
+        "the certificate {} is valid from {} to {}, which is not now; make new keys with `lodestone keys new`, or check \
+         the clock",
+        path.display(),
+        validity.not_before,
+        validity.not_after
+    )))
 }
 
 #[cfg(test)]

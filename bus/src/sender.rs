@@ -85,7 +85,7 @@ impl TrajectorySender {
     pub async fn send(&self, trajectory: &Trajectory) -> Result<Ack, SendError> {
         let bytes = encode_trajectory(trajectory);
         if bytes.len() > MAX_TRAJECTORY_BYTES {
-            return Err(SendError::TooLarge { bytes: bytes.len(), limit: MAX_TRAJECTORY_BYTES });
+            return Err(SendError::TooLarge(bytes.len()));
         }
         let payload = ZBytes::from(bytes);
         if self.0.viewers_there.is_matching() && self.0.viewers.put(payload.clone()).await.is_err() {

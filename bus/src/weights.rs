@@ -146,7 +146,7 @@ impl WeightsPublisher {
     pub async fn publish(&self, weights: Arc<Weights>) -> Result<(), BusError> {
         let bytes = encode_weights(&weights, self.epoch);
         if bytes.len() > MAX_WEIGHTS_BYTES {
-            return Err(BusError::TooLarge { bytes: bytes.len(), limit: MAX_WEIGHTS_BYTES });
+            return Err(BusError::TooLarge(bytes.len()));
         }
         // Set the weights before the notice, so that no process pulls the old ones after it.
         self.latest.set(ZBytes::from(bytes));

@@ -22,6 +22,7 @@ mod server;
 mod stage;
 mod videos;
 
+use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -53,20 +54,10 @@ use videos::Videos;
 /// Longest time between two events sent to a browser.
 const BEAT: Duration = Duration::from_secs(15);
 
-/// An error that prevents serving the page.
+/// The page's address is in use or does not belong to this machine.
 #[derive(Debug, thiserror::Error)]
-pub enum WebError {
-    /// The address is in use or does not belong to this machine.
-    #[error(
-        "the page cannot be served at {address}: {source}; choose another address with --web, or port 0 for a free one"
-    )]
-    Bind {
-        /// The configured address.
-        address: SocketAddr,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
-}
+#[error("the page cannot be served at {0}: {1}; choose another address with --web, or port 0 for a free one")]
+pub struct WebError(SocketAddr, io::Error);
 
 /// A page that is bound to its address but not yet served.
 #[derive(Debug)]
@@ -129,7 +120,7 @@ impl Page {
     /// # Errors
     /// Returns an error if the address is in use or does not belong to this machine.
     pub async fn bind(config: &Valid<WebConfig>) -> Result<Self, WebError> {
-        let failed = |source| WebError::Bind { address: config.listen, source };
+        let failed = |error| WebError(config.listen, error);
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok(Self { listener, address, config: config.clone() })

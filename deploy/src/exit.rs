@@ -89,7 +89,9 @@ impl From<BusError> for Failure {
     fn from(error: BusError) -> Self {
         match &error {
             // A file system that fails may work later, so this is not a setting that nobody can use.
-            BusError::Keys(KeysError::Unreadable { kind, .. }) if !is_lasting(*kind) => Self::Checkpoint(error.into()),
+            BusError::Keys(KeysError::Unreadable(_, cause)) if !is_lasting(cause.kind()) => {
+                Self::Checkpoint(error.into())
+            }
             BusError::Keys(_) => Self::Config(ConfigError::at("bus", error)),
             _ => Self::Bus(error.into()),
         }
@@ -106,8 +108,8 @@ impl From<WatchError> for Failure {
     fn from(error: WatchError) -> Self {
         match error {
             WatchError::NoTerminal => Self::Usage(error.to_string()),
-            WatchError::Silent { .. } => Self::NothingToShow(error.to_string()),
-            WatchError::NoRouter { .. } => Self::Bus(error.into()),
+            WatchError::Silent(_) => Self::NothingToShow(error.to_string()),
+            WatchError::NoRouter(_) => Self::Bus(error.into()),
             WatchError::Bus(error) => error.into(),
             WatchError::Terminal(_) | WatchError::Panic(_) => Self::Service(error.into()),
         }
@@ -184,8 +186,8 @@ mod tests {
 
     #[test]
     fn keys_on_a_file_system_that_fails_are_no_wrong_setting() {
-        let code = |kind| {
-            let error = KeysError::Unreadable { path: "keys/learner".into(), kind, reason: kind.to_string() };
+        let code = |kind: io::ErrorKind| {
+            let error = KeysError::Unreadable("keys/learner".into(), kind.into());
             Failure::from(BusError::Keys(error)).exit_code()
         };
         // Supervisors start again after 66, but not after 64.

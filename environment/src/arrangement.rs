@@ -1,5 +1,7 @@
 //! Arrangements of blocks from outside, such as a robot's own, and what makes one legal.
 
+use std::fmt;
+
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use nalgebra::{Isometry3, Vector3};
 use proto::{Joint, Pose};
@@ -43,62 +45,9 @@ pub struct Arrangement {
 }
 
 /// What makes an arrangement illegal.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum ArrangementError {
-    /// Not a place in the world.
-    #[error("block {block} is at {position:?}: expected three numbers within {RUNAWAY_M} m of the origin")]
-    Position {
-        /// The block.
-        block: u8,
-        /// Its position, m.
-        position: [f32; 3],
-    },
-    /// Not an orientation.
-    #[error("block {block} has the orientation {orientation:?}: expected a unit quaternion x, y, z, w")]
-    Orientation {
-        /// The block.
-        block: u8,
-        /// Its orientation, a quaternion x, y, z, w.
-        orientation: [f32; 4],
-    },
-    /// Below the ground.
-    #[error("block {block} is {depth_m} m deep in the ground: expected at most {MAX_DEPTH_M}")]
-    Ground {
-        /// The block.
-        block: u8,
-        /// Its depth, m.
-        depth_m: f32,
-    },
-    /// Two blocks in one place.
-    #[error("blocks {a} and {b} overlap by {depth_m} m: expected at most {MAX_OVERLAP_M}")]
-    Overlap {
-        /// The block with the lower index.
-        a: u8,
-        /// The block with the higher index.
-        b: u8,
-        /// Depth of the overlap, m.
-        depth_m: f32,
-    },
-    /// A connection that magnets do not make.
-    #[error(
-        "blocks {a} and {b} are connected: expected two blocks with opposite magnets within {MAX_GAP_M} m, turned by at \
-         most {MAX_ANGLE_DEG} degrees from where they fit"
-    )]
-    Apart {
-        /// One block.
-        a: u8,
-        /// The other block.
-        b: u8,
-    },
-    /// A connection that is given twice, or in another way than others give it.
-    #[error("the connection of blocks {a} and {b} repeats or contradicts the connections before it")]
-    Contradiction {
-        /// The block with the lower index.
-        a: u8,
-        /// The block with the higher index.
-        b: u8,
-    },
-}
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct ArrangementError(String);
 
 impl Arrangement {
     /// Returns the layout, with the connections as the magnets make them.
@@ -107,19 +56,25 @@ impl Arrangement {
     /// Returns the first reason why no world can look like this.
     pub(crate) fn layout(&self) -> Result<Layout, ArrangementError> {
         for (block, pose) in BlockIdx::all().zip(&self.poses) {
-            check_pose(block.into(), pose)?;
+            check_pose(block.get(), pose)?;
         }
         let poses = self.poses.each_ref().map(from_pose);
         let boxes = BlockIdx::array(|block| Solid::new(block, &poses[block.get()]));
         for a in BlockIdx::all() {
             let depth_m = boxes[a.get()].shadow(&Vector3::z()) - poses[a.get()].translation.z;
             if depth_m > MAX_DEPTH_M {
-                return Err(ArrangementError::Ground { block: a.into(), depth_m });
+                return illegal(format_args!(
+                    "block {} is {depth_m} m deep in the ground: expected at most {MAX_DEPTH_M}",
+                    a.get()
+                ));
             }
             for b in BlockIdx::all().skip(a.get() + 1) {
                 let depth_m = boxes[a.get()].overlap(&boxes[b.get()]);
                 if depth_m > MAX_OVERLAP_M {
-                    return Err(ArrangementError::Overlap { a: a.into(), b: b.into(), depth_m });
+                    let [a, b] = [a, b].map(BlockIdx::get);
+                    return illegal(format_args!(
+                        "blocks {a} and {b} overlap by {depth_m} m: expected at most {MAX_OVERLAP_M}"
+                    ));
                 }
             }
         }
@@ -136,11 +91,19 @@ impl Arrangement {
             let (pose_a, pose_b) = (&poses[a.get()], &poses[b.get()]);
             let nearest = table.for_each_pair((a, &Frame::new(pose_a)), (b, &Frame::new(pose_b)), MAX_GAP_M, |_| {});
             let relative = nearest.filter(|_| a != b).and_then(|pair| pair.snap(pose_a, pose_b, &limits));
-            let relative = relative.ok_or(ArrangementError::Apart { a: a.into(), b: b.into() })?;
+            let names = format!("blocks {} and {}", a.get(), b.get());
+            let Some(relative) = relative else {
+                return illegal(format_args!(
+                    "{names} are connected: expected two blocks with opposite magnets within {MAX_GAP_M} m, \
+                     turned by at most {MAX_ANGLE_DEG} degrees from where they fit"
+                ));
+            };
             let is_repeated = joints.iter().any(|joint| (joint.a, joint.b) == (a, b));
             let along = relative_along(joints.iter().copied(), a, b);
             if is_repeated || along.is_some_and(|along| along != relative) {
-                return Err(ArrangementError::Contradiction { a: a.into(), b: b.into() });
+                return illegal(format_args!(
+                    "the connection of {names} repeats or contradicts the connections before it"
+                ));
             }
             joints.push(Joint { a, b, relative });
         }
@@ -165,15 +128,23 @@ pub(crate) fn raised(poses: &[Isometry3<f32>; N_BLOCKS], block: BlockIdx) -> Iso
     pose
 }
 
-fn check_pose(block: u8, &Pose { position, orientation }: &Pose) -> Result<(), ArrangementError> {
+fn check_pose(block: usize, &Pose { position, orientation }: &Pose) -> Result<(), ArrangementError> {
     // A NaN fails both comparisons.
     let is_near = Vector3::from(position).norm() <= RUNAWAY_M;
     let is_unit = (nalgebra::Vector4::from(orientation).norm() - 1.0).abs() <= MAX_STRETCH;
     match (is_near, is_unit) {
-        (false, _) => Err(ArrangementError::Position { block, position }),
-        (_, false) => Err(ArrangementError::Orientation { block, orientation }),
+        (false, _) => illegal(format_args!(
+            "block {block} is at {position:?}: expected three numbers within {RUNAWAY_M} m of the origin"
+        )),
+        (_, false) => illegal(format_args!(
+            "block {block} has the orientation {orientation:?}: expected a unit quaternion x, y, z, w"
+        )),
         (true, true) => Ok(()),
     }
+}
+
+fn illegal<T>(why: fmt::Arguments<'_>) -> Result<T, ArrangementError> {
+    Err(ArrangementError(why.to_string()))
 }
 
 /// A block as a box.

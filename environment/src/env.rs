@@ -18,24 +18,10 @@ pub enum ResetError {
     /// The goal or the prebuilt structure is not in the catalog.
     #[error("blueprint {0} is not in the catalog")]
     UnknownBlueprint(BlueprintId),
-    /// The assignment is not a permutation within each block type.
-    #[error("the assignment lets block {played_by} play block {block}; it must permute blocks of one type")]
-    Assignment {
-        /// Block of the catalog's blueprint.
-        block: u8,
-        /// Block that should play it.
-        played_by: u8,
-    },
-    /// A near-goal start that removes no block or more than all but one.
-    #[error("a near-goal start of {blueprint} cannot take off {undone} blocks; it must be 1 to {most}")]
-    Undone {
-        /// The goal.
-        blueprint: BlueprintId,
-        /// Number of blocks to remove.
-        undone: u8,
-        /// Maximum valid number.
-        most: usize,
-    },
+    /// The assignment is not a permutation within each block type, or a near-goal start removes no block or more than
+    /// all but one.
+    #[error("{0}")]
+    Unfit(String),
     /// The world has no state to continue from: it was never reset, or it has diverged.
     #[error("there is no previous state to start from")]
     NothingToKeep,

@@ -72,7 +72,10 @@ pub(crate) fn prebuilt(blueprint: &Blueprint, rng: &mut ChaCha8Rng) -> Result<La
 pub(crate) fn near_goal(blueprint: &Blueprint, undone: u8, rng: &mut ChaCha8Rng) -> Result<Layout, ResetError> {
     let most = blueprint.n_blocks() - 1;
     if !(1..=most).contains(&usize::from(undone)) {
-        return Err(ResetError::Undone { blueprint: blueprint.id().clone(), undone, most });
+        let id = blueprint.id();
+        return Err(ResetError::Unfit(format!(
+            "a near-goal start of {id} cannot take off {undone} blocks; it must be 1 to {most}"
+        )));
     }
     lay_out(rng, |rng| {
         let kept = remaining_after(blueprint, undone, rng);

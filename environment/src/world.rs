@@ -281,7 +281,11 @@ fn check_assignment(assignment: &[BlockIdx; N_BLOCKS]) -> Result<(), ResetError>
     for (block, &player) in BlockIdx::all().zip(assignment) {
         let fits = inventory.type_idx(block) == inventory.type_idx(player);
         if !fits || std::mem::replace(&mut taken[player.get()], true) {
-            return Err(ResetError::Assignment { block: block.into(), played_by: player.into() });
+            return Err(ResetError::Unfit(format!(
+                "the assignment lets block {} play block {}; it must permute blocks of one type",
+                player.get(),
+                block.get()
+            )));
         }
     }
     Ok(())

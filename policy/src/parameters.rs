@@ -45,22 +45,8 @@ pub(crate) enum Initializer {
 
 /// Why a parameter vector is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ParameterError {
-    /// The number of values differs from the number of parameters.
-    #[error("{given} parameters given, the network has {expected}")]
-    Count {
-        /// Length of the vector.
-        given: usize,
-        /// Number of parameters.
-        expected: usize,
-    },
-    /// A value is NaN or infinite.
-    #[error("parameter {index} is not finite")]
-    NotFinite {
-        /// Position in the flat vector.
-        index: usize,
-    },
-}
+#[error("{0}")]
+pub struct ParameterError(String);
 
 impl ParameterSpec {
     /// Returns the number of values.
@@ -98,9 +84,10 @@ pub fn load<M: Module>(network: M, values: &[f32]) -> Result<M, ParameterError> 
 /// Checks that there are `expected` parameters, all finite.
 pub(crate) fn check(values: &[f32], expected: usize) -> Result<(), ParameterError> {
     if values.len() != expected {
-        return Err(ParameterError::Count { given: values.len(), expected });
+        return Err(ParameterError(format!("{} parameters given, the network has {expected}", values.len())));
     }
-    values.iter().position(|x| !x.is_finite()).map_or(Ok(()), |index| Err(ParameterError::NotFinite { index }))
+    let wrong = values.iter().position(|x| !x.is_finite());
+    wrong.map_or(Ok(()), |index| Err(ParameterError(format!("parameter {index} is not finite"))))
 }
 
 /// Returns the SHA-256 digest of parameters, as 64 hexadecimal digits: of the name, the number of dimensions, the

@@ -6,8 +6,8 @@ mod trial;
 use blueprints::{Catalog, N_BLOCKS};
 use burn::tensor::Device;
 use proto::{
-    ActionMode, Agent, CanonicalSettings, Decision, InvalidSetting, N_GRIPPERS, Normalization, Observation,
-    SettingsDifference, Valid, Weights, WeightsVersion,
+    ActionMode, Agent, CanonicalSettings, Decision, N_GRIPPERS, Normalization, Observation, SettingsDifference, Valid,
+    Weights, WeightsVersion,
 };
 use rand_chacha::ChaCha8Rng;
 
@@ -18,7 +18,6 @@ use crate::distribution::{ActionDistribution, mask_logits};
 use crate::engine::Engine;
 use crate::mixture::{MixtureDistribution, N_READOUTS};
 use crate::normalization::{self, normalize};
-use crate::parameters::ParameterError;
 use crate::proposals::Slot;
 
 pub use attention::Attention;
@@ -36,42 +35,15 @@ pub enum PolicyError {
         difference: SettingsDifference,
     },
     /// The weights belong to another network.
-    #[error("weights {version} are for network {given:016x}, this process runs {expected:016x}")]
-    OtherNetwork {
-        /// Version of the weights.
-        version: WeightsVersion,
-        /// Hash in the weights.
-        given: u64,
-        /// Hash of this policy's configuration.
-        expected: u64,
-    },
-    /// The parameters do not fit.
-    #[error("weights {version} do not fit")]
-    Parameters {
-        /// Version of the weights.
-        version: WeightsVersion,
-        /// The error.
-        source: ParameterError,
-    },
-    /// The normalization statistics do not fit.
-    #[error("weights {version} have {error}")]
-    Normalization {
-        /// Version of the weights.
-        version: WeightsVersion,
-        /// The first wrong statistic.
-        error: InvalidSetting,
-    },
+    #[error("weights {0} are for network {1:016x}, this process runs {2:016x}")]
+    OtherNetwork(WeightsVersion, u64, u64),
+    /// The parameters or the normalization statistics do not fit.
+    #[error("{0}")]
+    Unfit(String),
     /// The output of a forward pass is not a distribution over actions, or not a value: the parameters are finite, but
     /// so large that sums overflow.
-    #[error("{} give {output} = {value} for a scene, must be a number in −1e6..=1e6", named(*.version))]
-    NoDistribution {
-        /// Version of the weights; `None` for untrained parameters.
-        version: Option<WeightsVersion>,
-        /// Name of the network output.
-        output: &'static str,
-        /// The value.
-        value: f32,
-    },
+    #[error("{0}")]
+    NoDistribution(String),
 }
 
 /// Checks that weights with the settings `theirs` are of a run with `own` settings, unless theirs are not known.
@@ -89,19 +61,11 @@ pub fn check_settings(
     }
 }
 
-/// Names weights in an error.
-fn named(version: Option<WeightsVersion>) -> String {
-    version.map_or_else(|| "untrained weights".to_owned(), |version| format!("weights {version}"))
-}
-
 impl PolicyError {
     /// Whether only these weights are at fault, so that a process can keep its previous weights and wait for better
     /// ones. Waiting does not help with weights of another network or an invalid configuration.
     pub fn is_of_weights(&self) -> bool {
-        match self {
-            Self::OtherSettings { .. } | Self::OtherNetwork { .. } => false,
-            Self::Parameters { .. } | Self::Normalization { .. } | Self::NoDistribution { .. } => true,
-        }
+        matches!(self, Self::Unfit(_) | Self::NoDistribution(_))
     }
 }
 
@@ -160,13 +124,15 @@ impl Policy {
         check_settings(version, &weights.settings.section("policy"), &own)?;
         let expected = self.config.hash();
         if weights.network_hash != expected {
-            return Err(PolicyError::OtherNetwork { version, given: weights.network_hash, expected });
+            return Err(PolicyError::OtherNetwork(version, weights.network_hash, expected));
         }
         let sizes = self.config.sizes();
         normalization::check("normalization", &weights.normalization, [sizes.node, sizes.edge, sizes.global])
-            .map_err(|error| PolicyError::Normalization { version, error })?;
-        let engine =
-            self.engine.with(&weights.parameters).map_err(|source| PolicyError::Parameters { version, source })?;
+            .map_err(|error| PolicyError::Unfit(format!("weights {version} have {error}")))?;
+        let engine = self
+            .engine
+            .with(&weights.parameters)
+            .map_err(|error| PolicyError::Unfit(format!("weights {version} do not fit: {error}")))?;
         let mut tried = Self {
             config: self.config.clone(),
             engine,
@@ -259,7 +225,10 @@ impl Policy {
     }
 
     fn no_distribution(&self, output: &'static str, value: f32) -> PolicyError {
-        PolicyError::NoDistribution { version: self.version, output, value }
+        PolicyError::NoDistribution(format!(
+            "{} give {output} = {value} for a scene, must be a number in −1e6..=1e6",
+            self.version.map_or_else(|| "untrained weights".to_owned(), |version| format!("weights {version}"))
+        ))
     }
 }
 

@@ -35,22 +35,12 @@ pub enum VideoError {
     /// There are no frames.
     #[error("a video needs at least one frame")]
     NoFrames,
-    /// The format does not support the frame rate.
-    #[error("{fps} frames a second is not in 1..={most}")]
-    Rate {
-        /// Frames per second.
-        fps: u32,
-        /// Maximum frame rate of the format.
-        most: u32,
-    },
-    /// Frames have odd or different sizes; chroma is coded for squares of four pixels.
-    #[error("frames of {width} × {height} pixels; both must be even and the same in all frames")]
-    Size {
-        /// Width in pixels.
-        width: usize,
-        /// Height in pixels.
-        height: usize,
-    },
+    /// The format does not support the frame rate, but one up to the second number.
+    #[error("{0} frames a second is not in 1..={1}")]
+    Rate(u32, u32),
+    /// Frames have odd or different widths and heights; chroma is coded for squares of four pixels.
+    #[error("frames of {0} × {1} pixels; both must be even and the same in all frames")]
+    Size(usize, usize),
     /// The encoder rejected a frame.
     #[error("encoding H.264: {0}")]
     Encoder(#[from] openh264::Error),

@@ -29,17 +29,9 @@ pub enum HistoryError {
         .0.display()
     )]
     Missing(PathBuf),
-    /// A newer version of the program wrote the file.
-    #[error(
-        "the history {} has schema version {found}, this program knows {SCHEMA_VERSION}: use the newer program",
-        path.display()
-    )]
-    Newer {
-        /// The file.
-        path: PathBuf,
-        /// Its schema version.
-        found: i64,
-    },
+    /// A newer version of the program wrote the file, with this schema version.
+    #[error("the history {0} has schema version {1}, this program knows {SCHEMA_VERSION}: use the newer program")]
+    Newer(PathBuf, i64),
     /// The file is a database with other tables.
     #[error("{} is a database of something else, not a history of evaluations: move it away", .0.display())]
     Foreign(PathBuf),
@@ -47,21 +39,11 @@ pub enum HistoryError {
     #[error("another evaluator writes the history {}: give this one another run directory", .0.display())]
     Taken(PathBuf),
     /// The lock file cannot be created.
-    #[error("cannot lock {}", path.display())]
-    Lock {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
+    #[error("cannot lock {0}")]
+    Lock(PathBuf, #[source] std::io::Error),
     /// SQLite returned an error, or the file is damaged.
-    #[error("the history {} cannot be used: {error}; {}", path.display(), advice(error))]
-    Database {
-        /// The file.
-        path: PathBuf,
-        /// SQLite's error.
-        error: rusqlite::Error,
-    },
+    #[error("the history {0} cannot be used: {1}; {advice}", advice = advice(.1))]
+    Database(PathBuf, rusqlite::Error),
 }
 
 /// Returns what to do about an error of SQLite.
@@ -91,7 +73,7 @@ impl History {
     /// If another writer has it open, it has a newer version or is not a history, or it cannot be written.
     pub fn open(path: &Path) -> Result<Self, HistoryError> {
         let lock = lock(path)?;
-        let failed = |error| HistoryError::Database { path: path.to_owned(), error };
+        let failed = |error| HistoryError::Database(path.to_owned(), error);
         let mut db = Connection::open(path).map_err(failed)?;
         configure(&db).map_err(failed)?;
         prepare(&mut db).map_err(failed)?;
@@ -105,7 +87,7 @@ impl History {
     /// If it cannot be written; the history then stays unchanged.
     pub fn append(&mut self, evaluation: &Evaluation) -> Result<(), HistoryError> {
         let path = &self.path;
-        rows::append(&mut self.db, evaluation).map_err(|error| HistoryError::Database { path: path.clone(), error })
+        rows::append(&mut self.db, evaluation).map_err(|error| HistoryError::Database(path.clone(), error))
     }
 
     /// Reads all evaluations of the history at `path` in writing order, even while a writer has it open.
@@ -116,7 +98,7 @@ impl History {
         if !path.is_file() {
             return Err(HistoryError::Missing(path.to_owned()));
         }
-        let failed = |error| HistoryError::Database { path: path.to_owned(), error };
+        let failed = |error| HistoryError::Database(path.to_owned(), error);
         // Not read-only: a reader may have to roll back a transaction of a killed writer.
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let db = Connection::open_with_flags(path, flags).map_err(failed)?;
@@ -147,11 +129,11 @@ fn prepare(db: &mut Connection) -> rusqlite::Result<()> {
 /// Checks that the database is a history of this version.
 fn check(db: &Connection, path: &Path) -> Result<(), HistoryError> {
     let pragma = |name: &str| db.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
-    let failed = |error| HistoryError::Database { path: path.to_owned(), error };
+    let failed = |error| HistoryError::Database(path.to_owned(), error);
     let path = path.to_owned();
     match (pragma("application_id").map_err(failed)?, pragma("user_version").map_err(failed)?) {
         (APPLICATION_ID, SCHEMA_VERSION) => Ok(()),
-        (APPLICATION_ID, found) if found > SCHEMA_VERSION => Err(HistoryError::Newer { path, found }),
+        (APPLICATION_ID, found) if found > SCHEMA_VERSION => Err(HistoryError::Newer(path, found)),
         // Version 1 has no predecessor; later versions migrate older tables here.
         _ => Err(HistoryError::Foreign(path)),
     }
@@ -162,7 +144,7 @@ fn lock(history: &Path) -> Result<File, HistoryError> {
     let mut path = history.as_os_str().to_owned();
     path.push(".lock");
     let path = PathBuf::from(path);
-    let failed = |source| HistoryError::Lock { path: path.clone(), source };
+    let failed = |error| HistoryError::Lock(path.clone(), error);
     if let Some(folder) = history.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }

@@ -28,13 +28,8 @@ pub struct MetricsWriter {
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     /// A file or folder cannot be written.
-    #[error("cannot write {}", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
+    #[error("cannot write {0}")]
+    Io(PathBuf, #[source] io::Error),
     /// The metrics cannot be serialized as JSON.
     #[error("metrics are no JSON")]
     Json(#[from] serde_json::Error),
@@ -73,7 +68,7 @@ impl MetricsWriter {
     pub fn open(paths: &RunPaths, role: Role) -> Result<Self, WriteError> {
         let folder = paths.tensorboard(role);
         let open = || Ok((!event_files(&folder)?.is_empty(), EventWriter::create(&folder)?));
-        let (goes_on, tensorboard) = open().map_err(|source| WriteError::Io { path: folder.clone(), source })?;
+        let (goes_on, tensorboard) = open().map_err(|error| WriteError::Io(folder.clone(), error))?;
         let writer = Self { path: paths.metrics(), tensorboard, goes_on };
         // Detect an error now rather than at the first update.
         writer.append(&Lines::default())?;
@@ -116,7 +111,7 @@ impl MetricsWriter {
             file.lock()?;
             change(&mut file)
         };
-        open().map_err(|source| WriteError::Io { path: self.path.clone(), source })
+        open().map_err(|error| WriteError::Io(self.path.clone(), error))
     }
 
     /// Tells TensorBoard, once, to forget what earlier processes wrote at `n_env_steps` or later.
@@ -130,7 +125,7 @@ impl MetricsWriter {
 
     /// Changes the event files; an error names their folder.
     fn write_events(&mut self, write: impl FnOnce(&mut EventWriter) -> io::Result<()>) -> Result<(), WriteError> {
-        write(&mut self.tensorboard).map_err(|source| WriteError::Io { path: self.path.with_file_name("tb"), source })
+        write(&mut self.tensorboard).map_err(|error| WriteError::Io(self.path.with_file_name("tb"), error))
     }
 
     /// Writes the settings of the run, from the text of its `config.toml`, to TensorBoard's table of hyperparameters.

@@ -34,7 +34,7 @@ impl Listener {
     /// Binds `quic/HOST:PORT` or `tls/HOST:PORT`.
     pub(super) async fn bind(endpoint: &str, keys: &Keys) -> Result<Self, BusError> {
         let (mut config, valid_for) = tls::server(keys)?;
-        let failed = |error| BusError::Listen { endpoint: endpoint.to_owned(), error };
+        let failed = |error: io::Error| BusError::during(format!("listening on {endpoint}"))(error.into());
         let (host, port) = address(endpoint).ok_or_else(|| failed(io::ErrorKind::InvalidInput.into()))?;
         let mut last = io::Error::from(io::ErrorKind::AddrNotAvailable);
         config.alpn_protocols = if is_tls(endpoint) { Vec::new() } else { PROTOCOLS.map(<[u8]>::to_vec).into() };

@@ -81,5 +81,5 @@ fn provider() -> Arc<CryptoProvider> {
 }
 
 fn unusable(path: &Path, error: impl std::fmt::Display) -> KeysError {
-    KeysError::Malformed { path: path.to_owned(), reason: format!("cannot be used: {error}") }
+    KeysError::of_file(path, format_args!("cannot be used: {error}"))
 }

@@ -40,7 +40,7 @@ pub(super) fn open(
     tasks: &TaskTracker,
     closing: &CancellationToken,
 ) -> Result<(), BusError> {
-    let failed = |error| BusError::Listen { endpoint: entrance.display().to_string(), error };
+    let failed = |error: io::Error| BusError::during(format!("listening on {}", entrance.display()))(error.into());
     let (host, port) = address(endpoint).ok_or_else(|| failed(io::ErrorKind::InvalidInput.into()))?;
     let connector = TlsConnector::from(Arc::new(tls::client(keys)?));
     let endpoint = endpoint.to_owned();

@@ -49,23 +49,11 @@ pub enum WatchError {
     #[error("watch needs a terminal on stdout; --once prints what is known as text, --json prints lines for programs")]
     NoTerminal,
     /// The router is connected, but the run's learner and evaluator are silent.
-    #[error("no learner and no evaluator of run `{run}` said anything in {seconds} s; {}", elsewhere(others))]
-    Silent {
-        /// Name of the run.
-        run: String,
-        /// How long the command waited.
-        seconds: u64,
-        /// Other runs on the router.
-        others: Vec<String>,
-    },
+    #[error("{0}")]
+    Silent(String),
     /// No router is reachable.
-    #[error("no router answers at {endpoints} after {seconds} s")]
-    NoRouter {
-        /// The endpoints that were tried.
-        endpoints: String,
-        /// How long the command waited.
-        seconds: u64,
-    },
+    #[error("{0}")]
+    NoRouter(String),
     /// The bus cannot be opened, or the session fails.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -223,22 +211,20 @@ async fn seek_others(run: &watch::Sender<RunView>, config: &Valid<BusConfig>) ->
     }
 }
 
-/// Returns a hint for the user when a run is silent.
-fn elsewhere(others: &[String]) -> String {
-    match others {
-        [] => "--run NAME chooses another run".to_owned(),
-        names => format!("this router has {}; --run NAME chooses one", names.join(", ")),
-    }
-}
-
 /// Returns the error for a run that sent no metrics within `patience`.
 async fn silent(link: Link, config: &Valid<BusConfig>, patience: Duration) -> WatchError {
     let seconds = patience.as_secs();
     if link != Link::Connected {
-        return WatchError::NoRouter { endpoints: config.connect.join(", "), seconds };
+        let endpoints = config.connect.join(", ");
+        return WatchError::NoRouter(format!("no router answers at {endpoints} after {seconds} s"));
     }
     let others = bus::runs(config).await;
     let others = others.inspect_err(|error| tracing::debug!(%error, "the router's runs cannot be listed"));
-    let others = others.unwrap_or_default();
-    WatchError::Silent { run: config.run.clone(), seconds, others: others.into_iter().collect() }
+    let others: Vec<String> = others.unwrap_or_default().into_iter().collect();
+    let elsewhere = match &others[..] {
+        [] => "--run NAME chooses another run".to_owned(),
+        names => format!("this router has {}; --run NAME chooses one", names.join(", ")),
+    };
+    let run = &config.run;
+    WatchError::Silent(format!("no learner and no evaluator of run `{run}` said anything in {seconds} s; {elsewhere}"))
 }

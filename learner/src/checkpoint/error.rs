@@ -9,42 +9,20 @@ use policy::model::FORMAT_VERSION;
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The file system returned an error.
-    #[error("{action} {path}: {error}")]
-    Io {
-        /// The failed operation.
-        action: &'static str,
-        /// The file or folder.
-        path: PathBuf,
-        /// The system's error.
-        error: std::io::Error,
-    },
+    #[error("{0} {1}: {2}")]
+    Io(&'static str, PathBuf, std::io::Error),
     /// A file differs from what was written.
-    #[error("checkpoint file {path} is damaged: {reason}")]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The difference.
-        reason: String,
-    },
+    #[error("checkpoint file {0} is damaged: {1}")]
+    Damaged(PathBuf, String),
     /// Another version of the program wrote it.
     #[error(
-        "{path} has format version {found}, and this program reads version {FORMAT_VERSION}; use the version of \
-         Lodestone that wrote it, or train anew"
+        "{0} has format version {1}, and this program reads version {FORMAT_VERSION}; use the version of Lodestone that \
+         wrote it, or train anew"
     )]
-    Version {
-        /// The file.
-        path: PathBuf,
-        /// Its format version.
-        found: u32,
-    },
+    Version(PathBuf, u32),
     /// The policy has settings that this version does not know, such as another kind of move head.
-    #[error("{path} holds a policy that this version of Lodestone does not know: {reason}")]
-    UnknownPolicy {
-        /// The file.
-        path: PathBuf,
-        /// The unknown setting.
-        reason: String,
-    },
+    #[error("{0} holds a policy that this version of Lodestone does not know: {1}")]
+    UnknownPolicy(PathBuf, String),
     /// There is no folder `step-<n>`.
     #[error("there is no checkpoint in {0}")]
     Absent(PathBuf),
@@ -55,20 +33,20 @@ pub enum CheckpointError {
 
 /// Returns a closure for `map_err` that names the failed file system operation.
 pub(crate) fn io(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> CheckpointError {
-    move |error| CheckpointError::Io { action, path: path.into(), error }
+    move |error| CheckpointError::Io(action, path.into(), error)
 }
 
 /// Returns a closure for `map_err` that names the file with a policy or its parameters.
 pub(crate) fn at(path: &Path) -> impl FnOnce(ModelError) -> CheckpointError {
     let path = path.to_owned();
     move |error| match error {
-        ModelError::Damaged(reason) => CheckpointError::Damaged { path, reason },
-        ModelError::Version(found) => CheckpointError::Version { path, found },
-        ModelError::UnknownPolicy(reason) => CheckpointError::UnknownPolicy { path, reason },
+        ModelError::Damaged(reason) => CheckpointError::Damaged(path, reason),
+        ModelError::Version(found) => CheckpointError::Version(path, found),
+        ModelError::UnknownPolicy(reason) => CheckpointError::UnknownPolicy(path, reason),
         ModelError::Mismatch(reason) => CheckpointError::Mismatch(reason),
     }
 }
 
 pub(super) fn damaged(folder: &Path, name: &str, reason: impl Into<String>) -> CheckpointError {
-    CheckpointError::Damaged { path: folder.join(name), reason: reason.into() }
+    CheckpointError::Damaged(folder.join(name), reason.into())
 }

@@ -101,10 +101,7 @@ fn truncated_files_are_named() {
         for length in [0, 1, 7, 8, whole.len() / 3, whole.len() / 2, whole.len() - 9, whole.len() - 1] {
             fs::write(&file, &whole[..length]).unwrap();
             let error = Checkpoint::read(&path).unwrap_err();
-            assert!(
-                matches!(&error, CheckpointError::Damaged { path, .. } if path == &file),
-                "{name} {length}: {error}"
-            );
+            assert!(matches!(&error, CheckpointError::Damaged(path, _) if path == &file), "{name} {length}: {error}");
             assert!(error.to_string().contains(name));
         }
         let mut flipped = whole.clone();
@@ -183,7 +180,7 @@ fn failed_write_leaves_nothing_and_blocks_nothing() {
                 }
                 fs::write(folder.join(name), &bytes[..bytes.len() / 2]).unwrap();
                 let error = std::io::ErrorKind::StorageFull.into();
-                Err(CheckpointError::Io { action: "writing", path: folder.join(name), error })
+                Err(CheckpointError::Io("writing", folder.join(name), error))
             };
             let error = checkpoint.write_with(dir.path(), &mut full).unwrap_err();
             assert!(error.to_string().contains("no storage space"), "{error}");

@@ -18,7 +18,7 @@ const MAX_QUOTED_CHARS: usize = 80;
 
 pub(super) fn invalid(field: &'static str, value: impl ToString, expected: &'static str) -> DecodeError {
     let value: String = value.to_string().chars().take(MAX_QUOTED_CHARS).collect();
-    DecodeError::Invalid { field, value, expected }
+    DecodeError::Invalid(format!("{field} is {value}, expected {expected}"))
 }
 
 /// Returns an error that shows the value unless `ok`.
@@ -32,7 +32,7 @@ pub(super) fn ensure(
 }
 
 pub(super) fn present<T>(field: &'static str, value: Option<T>) -> Result<T, DecodeError> {
-    value.ok_or(DecodeError::Missing { field })
+    value.ok_or(DecodeError::Missing(field))
 }
 
 /// Checks that a number is finite and of plausible size.

@@ -36,11 +36,12 @@ const MAX_SMALL_BYTES: usize = 4096;
 /// Parses `bytes` if they are at most `limit` long.
 fn parse<M: Message + Default>(message: &'static str, bytes: impl Buf, limit: usize) -> Result<M, DecodeError> {
     check_size(message, bytes.remaining(), limit)?;
-    M::decode(bytes).map_err(|source| DecodeError::Malformed { message, source })
+    M::decode(bytes).map_err(|error| DecodeError::Malformed(message, error))
 }
 
 fn check_size(message: &'static str, bytes: usize, limit: usize) -> Result<(), DecodeError> {
-    if bytes > limit { Err(DecodeError::TooLarge { message, bytes, limit }) } else { Ok(()) }
+    let too_large = || format!("{message} of {bytes} bytes is larger than the limit of {limit} bytes");
+    if bytes > limit { Err(DecodeError::Invalid(too_large())) } else { Ok(()) }
 }
 
 /// Returns an error that says what is `expected` if a message's repeated field has more than `limit` elements.
@@ -52,7 +53,7 @@ fn check_count(
     mut bytes: &[u8],
     (limit, expected): (usize, &'static str),
 ) -> Result<(), DecodeError> {
-    let malformed = |source| DecodeError::Malformed { message, source };
+    let malformed = |error| DecodeError::Malformed(message, error);
     let mut n_elements = 0;
     while !bytes.is_empty() {
         let (key, wire_type) = decode_key(&mut bytes).map_err(malformed)?;
@@ -66,5 +67,11 @@ fn check_count(
 }
 
 fn check_version(found: u32) -> Result<(), DecodeError> {
-    if found == PROTOCOL_VERSION { Ok(()) } else { Err(DecodeError::Version { found, expected: PROTOCOL_VERSION }) }
+    if found == PROTOCOL_VERSION {
+        return Ok(());
+    }
+    Err(DecodeError::Invalid(format!(
+        "it has protocol version {found}, and this process speaks version {PROTOCOL_VERSION}: run one version of \
+         Lodestone in all processes"
+    )))
 }

@@ -97,7 +97,7 @@ pub fn decode_recording(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
     let is_first_version = bytes.starts_with(&FIRST_VERSION);
     let verify = |found: u64, expected: u64| match found == expected {
         true => Ok(()),
-        false => Err(DecodeError::Checksum { found, expected }),
+        false => Err(DecodeError::Checksum(found, expected)),
     };
     let sums = checksums(bytes);
     // The end of a recording of version 1 may look like a checksum by chance.
@@ -108,7 +108,7 @@ pub fn decode_recording(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
     if is_first_version && message.protocol_version == 1 && message.checksum.is_none() {
         return from_wire(message);
     }
-    let (found, expected) = sums.ok_or(DecodeError::Missing { field: "checksum" })?;
+    let (found, expected) = sums.ok_or(DecodeError::Missing("checksum"))?;
     verify(found, expected)?;
     check_version(message.protocol_version)?;
     from_wire(message)
@@ -121,10 +121,10 @@ pub fn decode_recording(bytes: &[u8]) -> Result<Trajectory, DecodeError> {
 /// If the bytes do not begin with this protocol's version and a name, as [`encode_trajectory`] and every other
 /// protobuf encoder write them.
 pub fn trajectory_actor(mut bytes: &[u8]) -> Result<&str, DecodeError> {
-    let malformed = |source| DecodeError::Malformed { message: MESSAGE, source };
+    let malformed = |error| DecodeError::Malformed(MESSAGE, error);
     let tag = |bytes: &mut &[u8], wanted: (u32, WireType), field: &'static str| {
         if bytes.is_empty() || decode_key(bytes).map_err(malformed)? != wanted {
-            return Err(DecodeError::Missing { field });
+            return Err(DecodeError::Missing(field));
         }
         decode_varint(bytes).map_err(malformed)
     };
@@ -132,7 +132,7 @@ pub fn trajectory_actor(mut bytes: &[u8]) -> Result<&str, DecodeError> {
     check_version(u32::try_from(version).unwrap_or(u32::MAX))?;
     let length = tag(&mut bytes, (2, WireType::LengthDelimited), "actor")?;
     let name = usize::try_from(length).ok().and_then(|length| bytes.get(..length));
-    name.and_then(|name| str::from_utf8(name).ok()).ok_or(DecodeError::Missing { field: "actor" })
+    name.and_then(|name| str::from_utf8(name).ok()).ok_or(DecodeError::Missing("actor"))
 }
 
 /// Returns the checksum at the end of a recording and that of the bytes before; `None` if it does not end with one.
@@ -203,7 +203,7 @@ fn named(grippers: [bool; N_GRIPPERS]) -> &'static str {
 fn check_ending(trajectory: &Trajectory) -> Result<(), DecodeError> {
     let ended = trajectory.status != Status::Running;
     let Some(stats) = trajectory.episode_stats else {
-        return if ended { Err(DecodeError::Missing { field: "episode_stats" }) } else { Ok(()) };
+        return if ended { Err(DecodeError::Missing("episode_stats")) } else { Ok(()) };
     };
     ensure(ended, "episode_stats", "present", "none before the episode's end")?;
     let are_all = usize::from(stats.n_steps) == usize::from(trajectory.first_step) + trajectory.transitions.len();

@@ -31,14 +31,9 @@ pub enum AttentionError {
     /// The encoder weights all blocks equally.
     #[error("this network has no attention in its layers")]
     NoAttention,
-    /// The policy and the episode have different numbers of grippers.
-    #[error("the episode has {episode} grippers and the network {network}")]
-    Grippers {
-        /// Grippers of the episode.
-        episode: usize,
-        /// Grippers of the network.
-        network: usize,
-    },
+    /// The episode and the policy have different numbers of grippers, these.
+    #[error("the episode has {0} grippers and the network {1}")]
+    Grippers(usize, usize),
 }
 
 /// A policy's attention in every scene of an episode.
@@ -99,7 +94,7 @@ impl<'e> EpisodeAttention<'e> {
         let network = usize::from(policy.config().features.n_grippers);
         let grippers = episode.scenes()[0].grippers.iter().flatten().count();
         if grippers != network {
-            return Err(AttentionError::Grippers { episode: grippers, network });
+            return Err(AttentionError::Grippers(grippers, network));
         }
         let seen = |scene| Observation { scene, blueprint: episode.goal() };
         let observations: Vec<_> = episode.scenes().iter().map(seen).collect();

@@ -21,18 +21,18 @@ const N_COLORS: usize = 255;
 /// Returns an error if there is no frame, or the format does not support the frame rate or size (see [`VideoError`]).
 pub fn gif(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
     if !(1..=MAX_GIF_FPS).contains(&fps) {
-        return Err(VideoError::Rate { fps, most: MAX_GIF_FPS });
+        return Err(VideoError::Rate(fps, MAX_GIF_FPS));
     }
     let mut frames = frames.into_iter().peekable();
     let first = frames.peek().ok_or(VideoError::NoFrames)?;
     let (width, height) = (first.width(), first.height());
-    let side = |n: usize| u16::try_from(n).map_err(|_| VideoError::Size { width, height });
+    let side = |n: usize| u16::try_from(n).map_err(|_| VideoError::Size(width, height));
     let mut encoder = Encoder::new(Vec::new(), side(width)?, side(height)?, &[])?;
     encoder.set_repeat(Repeat::Infinite)?;
     let mut last: Option<Image> = None;
     for (i, image) in (0_u32..).zip(frames) {
         if (image.width(), image.height()) != (width, height) {
-            return Err(VideoError::Size { width: image.width(), height: image.height() });
+            return Err(VideoError::Size(image.width(), image.height()));
         }
         let [x, y] = last.as_ref().map_or([[0, width], [0, height]], |last| changed(last, &image));
         let pixels = part(&image, x, y);

@@ -26,23 +26,22 @@ const QP: u8 = 24;
 /// fails.
 pub fn mp4(frames: impl IntoIterator<Item = Image>, fps: u32) -> Result<Vec<u8>, VideoError> {
     if !(1..=MAX_FPS).contains(&fps) {
-        return Err(VideoError::Rate { fps, most: MAX_FPS });
+        return Err(VideoError::Rate(fps, MAX_FPS));
     }
     let mut frames = frames.into_iter().peekable();
     let first = frames.peek().ok_or(VideoError::NoFrames)?;
     let (width, height) = (first.width(), first.height());
-    let wrong_size = |width, height| VideoError::Size { width, height };
     if width % 2 != 0 || height % 2 != 0 {
-        return Err(wrong_size(width, height));
+        return Err(VideoError::Size(width, height));
     }
-    let side = |n: usize| u32::try_from(n).map_err(|_| wrong_size(width, height));
+    let side = |n: usize| u32::try_from(n).map_err(|_| VideoError::Size(width, height));
     let mut muxer =
         MuxerBuilder::new(Vec::new()).video(VideoCodec::H264, side(width)?, side(height)?, f64::from(fps)).build()?;
     let mut encoder = Encoder::with_api_config(OpenH264API::from_source(), config(fps))?;
     let mut planes = YUVBuffer::new(width, height);
     for (i, frame) in frames.enumerate() {
         if (frame.width(), frame.height()) != (width, height) {
-            return Err(wrong_size(frame.width(), frame.height()));
+            return Err(VideoError::Size(frame.width(), frame.height()));
         }
         planes.read_rgb8(RgbSliceU8::new(frame.pixels().as_flattened(), (width, height)));
         let coded = encoder.encode_at(&planes, Timestamp::from_millis(i as u64 * 1000 / u64::from(fps)))?;

@@ -190,10 +190,10 @@ fn unsupported_frames_are_refused() {
     let blank = |width| Image::filled(width, 4, WHITE);
     assert!(matches!(mp4([], 10), Err(VideoError::NoFrames)));
     assert!(matches!(gif([], 10), Err(VideoError::NoFrames)));
-    assert!(matches!(mp4([blank(4)], 0), Err(VideoError::Rate { fps: 0, .. })));
-    assert!(matches!(gif([blank(4)], 51), Err(VideoError::Rate { fps: 51, most: 50 })));
-    assert!(matches!(mp4([blank(5)], 10), Err(VideoError::Size { width: 5, .. })));
-    assert!(matches!(gif([blank(4), blank(6)], 10), Err(VideoError::Size { width: 6, .. })));
+    assert!(matches!(mp4([blank(4)], 0), Err(VideoError::Rate(0, _))));
+    assert!(matches!(gif([blank(4)], 51), Err(VideoError::Rate(51, 50))));
+    assert!(matches!(mp4([blank(5)], 10), Err(VideoError::Size(5, _))));
+    assert!(matches!(gif([blank(4), blank(6)], 10), Err(VideoError::Size(6, _))));
 }
 
 #[test]
@@ -243,6 +243,6 @@ fn attention_covers_every_head_and_refuses_other_worlds() {
     assert_eq!(Shares::mean([]), Shares::default());
     // The episode has one gripper.
     let refused = |policy| EpisodeAttention::new(&policy, &episode).unwrap_err();
-    assert_eq!(refused(policy(2, true)), AttentionError::Grippers { episode: 1, network: 2 });
+    assert_eq!(refused(policy(2, true)), AttentionError::Grippers(1, 2));
     assert_eq!(refused(policy(1, false)), AttentionError::NoAttention);
 }

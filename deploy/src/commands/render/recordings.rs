@@ -95,8 +95,7 @@ fn read(path: &Path) -> Result<Trajectory, String> {
 
 /// Describes what is wrong with a file that is not a valid trajectory.
 fn explained(bytes: &[u8], error: &DecodeError) -> String {
-    let is_broken =
-        matches!(error, DecodeError::Malformed { .. } | DecodeError::Missing { .. } | DecodeError::Checksum { .. });
+    let is_broken = !matches!(error, DecodeError::Invalid(_));
     match (bytes.is_empty(), begins_like_one(bytes)) {
         (true, _) => "is empty".to_owned(),
         // The decoder's message would not help a user.
