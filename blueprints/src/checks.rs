@@ -11,7 +11,7 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::assembly::Shared;
-use crate::error::{BlueprintError, BlueprintFileError, PolesAdvice};
+use crate::error::{BlueprintError, BlueprintFileError};
 use crate::format::{Draft, MagnetName, NamedPair};
 pub use crate::infer::FoundTurn;
 use crate::infer::{self, Completed};
@@ -378,7 +378,10 @@ impl<'a> Structure<'a> {
                 if let Some(other) = filled.insert(cell, i) {
                     let center = self.draft.drawn(cell.map(|x| 2 * x + 1), self.placements);
                     let cell = center.map(|x| (x - 1) / 2);
-                    return Err(BlueprintError::Overlap { a: self.name(other), b: self.name(i), cell });
+                    let (a, b) = (self.name(other), self.name(i));
+                    return Err(BlueprintError::Invalid(format!(
+                        "blocks {a:?} and {b:?} overlap in cell {cell:?}; move one of them"
+                    )));
                 }
             }
         }
@@ -389,29 +392,33 @@ impl<'a> Structure<'a> {
         self.repelling.first().map_or(Ok(()), |&((i, j, p, q), place)| {
             let a = self.name(i);
             let b = self.name(j);
-            let pair = format!("{p} {q}");
             let place_u = self.draft.drawn(place, self.placements).map(|x| x as f32 / 2.0);
             let advice = if [i, j].iter().any(|&k| self.draft.blocks[k].turn.is_some()) {
-                PolesAdvice::Turn
+                "turn one, or leave out its `axes`"
             } else if self.draft.blocks.iter().any(|block| block.turn.is_some()) {
-                PolesAdvice::FreeOthers
+                "move one, or leave out the `axes` of the blocks around them"
             } else {
-                PolesAdvice::Move
+                "no turns let all blocks attract, so move one, or let it lie another way with `size`"
             };
-            Err(BlueprintError::LikePoles { a, b, pair, place_u, advice })
+            Err(BlueprintError::Invalid(format!(
+                "blocks {a:?} and {b:?} repel: like poles meet at {place_u:?}, pair \"{p} {q}\"; {advice}"
+            )))
         })
     }
 
     fn connections(&self) -> Result<(), BlueprintError> {
-        let words = |&(i, j, p, q): &NamedPair| (self.name(i), self.name(j), format!("{p} {q}"));
         let Some(listed) = &self.draft.pairs else { return Ok(()) };
-        if let Some(pair) = listed.difference(&self.attracting).next() {
-            let (a, b, pair) = words(pair);
-            return Err(BlueprintError::ExtraPair { a, b, pair });
+        if let Some((i, j, p, q)) = listed.difference(&self.attracting).next() {
+            let (a, b) = (self.name(*i), self.name(*j));
+            return Err(BlueprintError::Invalid(format!(
+                "the magnets \"{p} {q}\" of blocks {a:?} and {b:?} do not meet with opposite poles"
+            )));
         }
-        if let Some(pair) = self.attracting.difference(listed).next() {
-            let (a, b, pair) = words(pair);
-            return Err(BlueprintError::MissingPair { a, b, pair });
+        if let Some((i, j, p, q)) = self.attracting.difference(listed).next() {
+            let (a, b) = (self.name(*i), self.name(*j));
+            return Err(BlueprintError::Invalid(format!(
+                "blocks {a:?} and {b:?} also meet with the magnets \"{p} {q}\"; list the pair"
+            )));
         }
         Ok(())
     }
@@ -419,7 +426,8 @@ impl<'a> Structure<'a> {
     fn connected(&self) -> Result<(), BlueprintError> {
         let pieces = pieces(self.placements.len(), self.joints.iter().map(|joint| (joint.a, joint.b)));
         let loose = pieces.iter().position(|&piece| piece != 0);
-        loose.map_or(Ok(()), |i| Err(BlueprintError::Disconnected { block: self.name(i), root: self.name(0) }))
+        let refused = |i| format!("block {:?} is not connected to {:?}", self.name(i), self.name(0));
+        loose.map_or(Ok(()), |i| Err(BlueprintError::Invalid(refused(i))))
     }
 
     fn stands(&self) -> Result<(), BlueprintError> {

@@ -84,13 +84,12 @@ impl DrawnBlock {
     /// # Errors
     /// If the axes do not form a rotation, or the cell is out of range.
     pub fn new(type_name: &str, at: [i32; 3], axes: &str, is_free: bool) -> Result<Self, BlueprintError> {
-        let block = || type_name.to_owned();
         if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
-            return Err(BlueprintError::OutOfRange { block: block(), at: at.map(i64::from) });
+            return Err(BlueprintError::out_of_range(type_name, at.map(i64::from)));
         }
         let rotation = CubeRotation::all().find(|rotation| rotation.axes() == axes);
-        let rotation = rotation.ok_or_else(|| BlueprintError::BadAxes { block: block(), axes: axes.to_owned() })?;
-        Ok(Self { type_name: block(), at, rotation, is_free })
+        let rotation = rotation.ok_or_else(|| BlueprintError::bad_axes(type_name, axes))?;
+        Ok(Self { type_name: type_name.to_owned(), at, rotation, is_free })
     }
 }
 

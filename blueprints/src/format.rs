@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use serde::Deserialize;
 use toml::{Spanned, Value};
 
-use crate::error::BlueprintError;
+use crate::error::BlueprintError::{self, Invalid};
 use crate::placement::move_to_origin;
 use crate::{BlockIdx, BlueprintId, CubeRotation, Inventory, N_BLOCKS, Placement, Split};
 
@@ -85,31 +85,49 @@ impl Draft {
     /// Parses a file's text and reports errors of form, not of structure. The file name provides a missing id.
     pub(crate) fn parse(file: &str, text: &str) -> Result<Self, BlueprintError> {
         let raw: RawFile = toml::from_str(text).map_err(|error| syntax_error(text, &error))?;
-        let id = raw.id.or_else(|| BlueprintId::of_file(file)).ok_or(BlueprintError::NoId)?;
+        let id = raw.id.or_else(|| BlueprintId::of_file(file)).ok_or_else(|| {
+            Invalid(
+                "the file has no `id`, and no letter of its name can make one; add id = \"my-blueprint\"".to_owned(),
+            )
+        })?;
         let n_blocks = raw.blocks.len();
         if let Some(promised) = id.size().filter(|promised| *promised != n_blocks) {
-            return Err(BlueprintError::SizeMismatch { id, promised, n_blocks });
+            return Err(Invalid(format!(
+                "the id {id} promises {promised} blocks, the file has {n_blocks}; an id of another form promises nothing"
+            )));
         }
         // Check this before any work that grows with the number of blocks.
         if !(2..=N_BLOCKS).contains(&n_blocks) {
-            return Err(BlueprintError::BadCount(n_blocks));
+            let (counted, advice) = match n_blocks {
+                0 => ("no blocks".to_owned(), "add some"),
+                1 => ("1 block".to_owned(), "add some"),
+                n => (format!("{n} blocks"), "leave some out"),
+            };
+            return Err(Invalid(format!("the file has {counted}; a blueprint needs 2 to 16, so {advice}")));
         }
         for (field, value) in [("title", &raw.title), ("provenance", &raw.provenance)] {
             if value.as_ref().is_some_and(|value| value.trim().is_empty()) {
-                return Err(BlueprintError::Empty(field));
+                return Err(Invalid(format!("field `{field}` is empty")));
             }
         }
         let up = raw.up.unwrap_or_else(|| "+z".to_owned());
-        let up = parse_axis(&up).ok_or(BlueprintError::BadUp(up))?;
+        let bad_up = || Invalid(format!("up {up:?} is not one of +x, -x, +y, -y, +z, -z"));
+        let up = parse_axis(&up).ok_or_else(bad_up)?;
         let mut blocks: Vec<DraftBlock> = Vec::new();
         for (i, block) in raw.blocks.into_iter().enumerate() {
             let block = parse_block(text, block, i)?;
             if block.name.is_empty() {
-                return Err(BlueprintError::EmptyBlockName(i + 1));
+                let at = i + 1;
+                return Err(Invalid(format!(
+                    "block {at} of the list has an empty name; give it one, or leave its `name` out"
+                )));
             }
             if let Some(other) = blocks.iter().position(|other| other.name == block.name) {
                 let (first, second) = (other + 1, i + 1);
-                return Err(BlueprintError::RepeatedBlockName { name: block.name, first, second });
+                let name = block.name;
+                return Err(Invalid(format!(
+                    "blocks {first} and {second} of the list are both called {name:?}; give one of them another name"
+                )));
             }
             blocks.push(block);
         }
@@ -137,14 +155,18 @@ impl Draft {
         let inventory = Inventory::standard();
         let mut assigned = Vec::with_capacity(self.blocks.len());
         for (i, block) in self.blocks.iter().enumerate() {
-            let (name, type_name) = (block.name.clone(), block.type_name.clone());
-            let same = inventory.blocks_of_type(&type_name);
+            let DraftBlock { name, type_name, .. } = block;
+            let same = inventory.blocks_of_type(type_name);
             if same.is_empty() {
                 let known = inventory.types().iter().map(|t| t.name).collect::<Vec<_>>().join(", ");
-                return Err(BlueprintError::UnknownType { block: name, type_name, known });
+                return Err(Invalid(format!(
+                    "block {name:?} has the unknown type {type_name:?}; the inventory has {known}"
+                )));
             }
-            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == type_name).count();
-            let too_many = || BlueprintError::TooMany { block: name, type_name, count: same.len() };
+            let n_before = self.blocks[..i].iter().filter(|other| other.type_name == *type_name).count();
+            let count = same.len();
+            let too_many =
+                || Invalid(format!("block {name:?} is one too many of type {type_name}: the inventory has {count}"));
             assigned.push(*same.get(n_before).ok_or_else(too_many)?);
         }
         Ok(assigned)
@@ -215,26 +237,27 @@ fn parse_block(text: &str, raw: Spanned<RawBlock>, i: usize) -> Result<DraftBloc
     let line = line_at(text.as_bytes(), raw.span().start);
     let RawBlock { name, type_name, at, axes, size } = raw.into_inner();
     let name = name.unwrap_or_else(|| format!("block-{}", i + 1));
-    let missing = |key, what| BlueprintError::MissingKey { line, block: name.clone(), key, what };
+    let missing = |key, what| Invalid(format!("line {line}: block {name:?} has no `{key}`; add {what}"));
     let type_name = type_name.ok_or_else(|| missing("type", "its size in cells, like type = \"2x1x1\""))?;
     let what = "the lowest-numbered corner cell that it fills, like at = [0, 0, 0]";
     let drawn_at = at.ok_or_else(|| missing("at", what))?;
-    let bad_cells = |key, value: &Spanned<Value>| BlueprintError::BadCells {
-        line: line_at(text.as_bytes(), value.span().start),
-        block: name.clone(),
-        key,
-        value: brief(value.get_ref()),
+    let bad_cells = |key, value: &Spanned<Value>| {
+        let line = line_at(text.as_bytes(), value.span().start);
+        let value = brief(value.get_ref());
+        Invalid(format!(
+            "line {line}: block {name:?}: `{key}` needs three whole numbers of cells, like [2, 1, 1], and is {value}"
+        ))
     };
     let at = whole_numbers(drawn_at.get_ref()).ok_or_else(|| bad_cells("at", &drawn_at))?;
     let is_near = |at: &[i32; 3]| at.iter().all(|x| (-MAX_COORDINATE..=MAX_COORDINATE).contains(x));
     let near = narrow(at).filter(is_near);
-    let at = near.ok_or_else(|| BlueprintError::OutOfRange { block: name.clone(), at })?;
+    let at = near.ok_or_else(|| BlueprintError::out_of_range(&name, at))?;
     let parse_size =
         |size: &Spanned<Value>| whole_numbers(size.get_ref()).and_then(narrow).ok_or_else(|| bad_cells("size", size));
     let size = size.as_ref().map(parse_size).transpose()?;
     let parse_axes = |axes: String| {
         let turn = axes.split_once(' ').and_then(|(x, y)| CubeRotation::from_images(parse_axis(x)?, parse_axis(y)?));
-        turn.ok_or_else(|| BlueprintError::BadAxes { block: name.clone(), axes })
+        turn.ok_or_else(|| BlueprintError::bad_axes(&name, &axes))
     };
     let turn = axes.map(parse_axes).transpose()?;
     Ok(DraftBlock { name, type_name, at, turn, size })
@@ -243,25 +266,31 @@ fn parse_block(text: &str, raw: Spanned<RawBlock>, i: usize) -> Result<DraftBloc
 fn parse_pairs(connections: Vec<RawConnection>, blocks: &[DraftBlock]) -> Result<BTreeSet<NamedPair>, BlueprintError> {
     let find = |name: &str| {
         let position = blocks.iter().position(|block| block.name == name);
-        position.ok_or_else(|| BlueprintError::UnknownBlock(name.to_owned()))
+        let unknown = || Invalid(format!("a connection names the block {name:?}, which the file does not have"));
+        position.ok_or_else(unknown)
     };
     let mut pairs = BTreeSet::new();
     for RawConnection { a, b, magnets } in connections {
         let (i, j) = (find(&a)?, find(&b)?);
         if i == j {
-            return Err(BlueprintError::SelfConnection(a));
+            return Err(Invalid(format!("block {a:?} is connected to itself")));
         }
         if magnets.is_empty() {
-            return Err(BlueprintError::NoMagnets { a, b });
+            return Err(Invalid(format!("the connection of {a:?} and {b:?} lists no magnets")));
         }
         if let Some(open) = [i, j].into_iter().find(|&i| blocks[i].turn.is_none()) {
-            return Err(BlueprintError::NamedMagnets { block: blocks[open].name.clone() });
+            let block = &blocks[open].name;
+            return Err(Invalid(format!(
+                "block {block:?} has no axes, and `connections` names magnets in the blocks' own frames; add its axes, or \
+                 leave `connections` out"
+            )));
         }
         for text in magnets {
             let parsed = text.split_once(' ').and_then(|(p, q)| Some((MagnetName::parse(p)?, MagnetName::parse(q)?)));
-            let (p, q) = parsed.ok_or_else(|| BlueprintError::BadMagnetPair(text.clone()))?;
+            let bad = || Invalid(format!("magnet pair {text:?} is not of the form \"+z(0,0,0) -z(0,0,0)\""));
+            let (p, q) = parsed.ok_or_else(bad)?;
             if !pairs.insert(if i < j { (i, j, p, q) } else { (j, i, q, p) }) {
-                return Err(BlueprintError::RepeatedPair { a, b, pair: text });
+                return Err(Invalid(format!("magnet pair {text:?} of {a:?} and {b:?} is listed twice")));
             }
         }
     }
@@ -303,7 +332,7 @@ fn parse_axis(text: &str) -> Option<[i32; 3]> {
 /// Returns the parser's message on one line, with the line number of the error.
 fn syntax_error(text: &str, error: &toml::de::Error) -> BlueprintError {
     let line = line_at(text.as_bytes(), error.span().map_or(0, |span| span.start));
-    BlueprintError::Syntax { line, message: error.message().replace('\n', ", ") }
+    Invalid(format!("line {line}: {}", error.message().replace('\n', ", ")))
 }
 
 /// Returns the line of the byte at `at`, counted from 1.

@@ -156,17 +156,22 @@ impl<'a> Search<'a> {
                     all.push(size);
                 }
             }
-            let name = || block.name.clone();
+            let name = &block.name;
             options.push(match (block.turn.map(of), block.size) {
                 (Some(turned), Some(size)) if turned != size => {
-                    return Err(BlueprintError::SizeAndAxes { block: name(), turned, size });
+                    return Err(BlueprintError::Invalid(format!(
+                        "block {name:?}: turned by its axes it fills {turned:?} cells, its size is {size:?}; leave one of \
+                         them out"
+                    )));
                 }
                 (Some(turned), _) => vec![turned],
                 (None, Some(size)) if all.contains(&size) => vec![size],
                 (None, Some(size)) => {
-                    let type_name = block.type_name.clone();
-                    let cells = inventory.cells(idx);
-                    return Err(BlueprintError::BadSize { block: name(), type_name, size, cells });
+                    let (type_name, cells) = (&block.type_name, inventory.cells(idx));
+                    return Err(BlueprintError::Invalid(format!(
+                        "block {name:?}: a block of type {type_name} cannot fill {size:?} cells; its sides are {cells:?} \
+                         in some order"
+                    )));
                 }
                 (None, None) => all,
             });
@@ -216,8 +221,11 @@ impl<'a> Search<'a> {
     fn overlapping(&self, i: usize) -> Result<Vec<Cell>, BlueprintError> {
         let block = &self.draft.blocks[i];
         if self.options[i].len() > 1 {
-            let (block, type_name, at) = (block.name.clone(), block.type_name.clone(), block.at);
-            return Err(BlueprintError::NoRoom { block, type_name, at });
+            let (name, type_name, at) = (&block.name, &block.type_name, block.at);
+            return Err(BlueprintError::Invalid(format!(
+                "block {name:?} of type {type_name} at {at:?} overlaps another block whichever way it lies; `at` is the \
+                 lowest-numbered corner cell"
+            )));
         }
         Ok(self.options.iter().map(|options| options[0]).collect())
     }
