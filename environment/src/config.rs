@@ -3,8 +3,7 @@
 //! The paper gives none of these numbers. The defaults come from experiments with this physics engine.
 #![expect(clippy::approx_constant, reason = "6.28 is a chosen speed limit, not one turn")]
 
-use proto::setting::key;
-use proto::{InvalidSetting, Valid, settings};
+use proto::{Valid, settings};
 
 settings! {
     /// Configuration of a [`World`](crate::World).
@@ -59,19 +58,25 @@ settings! {
     /// Domain randomization (Tobin et al., 2017). Each range `[low, high]` draws a uniform value per episode; `None`
     /// keeps the setting. Scattered, prebuilt, and near-goal starts draw; a start "as it is" keeps the previous values.
     /// Neither the policy nor the expert sees the drawn values.
-    pub struct RandomizationConfig, check order {
+    pub struct RandomizationConfig {
         /// Replaces `magnets.snap_gap_m`, m.
-        pub snap_gap_m: Option<[f32; 2]> = None, in 0.001..=0.045;
+        pub snap_gap_m: Option<[f32; 2]> = None, in 0.001..=0.045,
+            where |c| ascends(c.snap_gap_m) => "the lower end first";
         /// Replaces `magnets.snap_angle_deg`, degrees.
-        pub snap_angle_deg: Option<[f32; 2]> = None, in 1.0..=40.0;
+        pub snap_angle_deg: Option<[f32; 2]> = None, in 1.0..=40.0,
+            where |c| ascends(c.snap_angle_deg) => "the lower end first";
         /// Factor on `magnets.break_force_n`.
-        pub break_force: Option<[f32; 2]> = None, in 0.1..=10.0;
+        pub break_force: Option<[f32; 2]> = None, in 0.1..=10.0,
+            where |c| ascends(c.break_force) => "the lower end first";
         /// Factor on `physics.friction`.
-        pub friction: Option<[f32; 2]> = None, in 0.1..=10.0;
+        pub friction: Option<[f32; 2]> = None, in 0.1..=10.0,
+            where |c| ascends(c.friction) => "the lower end first";
         /// Factor on `physics.density_kgpm3`.
-        pub density: Option<[f32; 2]> = None, in 0.1..=10.0;
+        pub density: Option<[f32; 2]> = None, in 0.1..=10.0,
+            where |c| ascends(c.density) => "the lower end first";
         /// Replaces `transition_delay_steps`.
-        pub transition_delay_steps: Option<[u8; 2]> = None, in 0..=100;
+        pub transition_delay_steps: Option<[u8; 2]> = None, in 0..=100,
+            where |c| ascends(c.transition_delay_steps) => "the lower end first";
     }
 
     /// Reward (paper, appendix "Rewards"; the weights are not in the paper). The unit of the weights is the reward of a
@@ -101,22 +106,6 @@ impl EnvironmentConfig {
     }
 }
 
-impl RandomizationConfig {
-    fn order(&self, path: &str) -> Result<(), InvalidSetting> {
-        let Self { snap_gap_m, snap_angle_deg, break_force, friction, density, transition_delay_steps } = *self;
-        let delay = transition_delay_steps.map(|range| range.map(f32::from));
-        for (field, range) in [
-            ("snap_gap_m", snap_gap_m),
-            ("snap_angle_deg", snap_angle_deg),
-            ("break_force", break_force),
-            ("friction", friction),
-            ("density", density),
-            ("transition_delay_steps", delay),
-        ] {
-            let Some([low, high]) = range else { continue };
-            let value = format_args!("[{low}, {high}]");
-            InvalidSetting::check(key(path, field), value, low <= high, "the lower end first")?;
-        }
-        Ok(())
-    }
+fn ascends<T: PartialOrd>(range: Option<[T; 2]>) -> bool {
+    range.is_none_or(|range| range.is_sorted())
 }
