@@ -38,12 +38,10 @@ pub struct CanonicalSettings(BTreeMap<String, String>);
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", self.between("there", "here"))]
 pub struct SettingsDifference {
-    /// The full key.
-    pub key: String,
+    key: String,
     /// The other process's value; `None` if it is not set there.
-    pub theirs: Option<String>,
-    /// This process's value.
-    pub own: Option<String>,
+    theirs: Option<String>,
+    own: Option<String>,
 }
 
 /// A text that is not in canonical form.

@@ -34,7 +34,7 @@ use serde_json::Value;
 mod range;
 pub mod schema;
 
-pub use self::range::{InvalidSetting, Number, Setting, above, above_to};
+pub use self::range::{InvalidSetting, Setting, above, above_to};
 use self::schema::{Schema, json_of};
 
 /// A part of the configuration with its own keys. [`settings!`](crate::settings) implements this trait.

@@ -26,7 +26,7 @@ impl InvalidSetting {
 /// A value with a range: a number, or a collection of numbers that share the range.
 pub trait Setting {
     /// The type of the range's bounds.
-    type Number: Number;
+    type Number: Copy + PartialOrd + Display;
 
     /// Checks every number in the value.
     ///
@@ -35,26 +35,14 @@ pub trait Setting {
     fn check_in(&self, key: &str, range: &impl RangeBounds<Self::Number>) -> Result<(), InvalidSetting>;
 }
 
-/// An integer or floating-point number.
-pub trait Number: Copy + PartialOrd + Display {
-    /// Returns whether the number is neither infinite nor NaN.
-    fn is_finite(self) -> bool;
-}
-
 macro_rules! numbers {
     ($($is_finite:expr => $($number:ty),*;)*) => {$($(
-        impl Number for $number {
-            fn is_finite(self) -> bool {
-                let is_finite: fn(Self) -> bool = $is_finite;
-                is_finite(self)
-            }
-        }
-
         impl Setting for $number {
             type Number = Self;
 
             fn check_in(&self, key: &str, range: &impl RangeBounds<Self>) -> Result<(), InvalidSetting> {
-                InvalidSetting::check(key, self, range.contains(self) && Number::is_finite(*self), expected(range))
+                let is_finite: fn(Self) -> bool = $is_finite;
+                InvalidSetting::check(key, self, range.contains(self) && is_finite(*self), expected(range))
             }
         }
     )*)*};
@@ -95,7 +83,7 @@ pub fn above_to<T>(low: T, high: T) -> (Bound<T>, Bound<T>) {
 }
 
 /// Describes a range for error messages.
-fn expected<T: Number>(range: &impl RangeBounds<T>) -> String {
+fn expected<T: Display>(range: &impl RangeBounds<T>) -> String {
     let low = match range.start_bound() {
         Bound::Included(low) => format!("at least {low}"),
         Bound::Excluded(low) => format!("above {low}"),
