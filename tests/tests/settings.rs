@@ -7,6 +7,21 @@ use deploy::config::{Config, DEFAULTS, Key, PRESETS, keys, merge};
 
 use crate::repository::{read, root};
 
+/// The units of settings, by how their names end.
+const UNITS: [(&str, &str); 11] = [
+    ("_mb_per_s", "MB/s"),
+    ("_mps", "m/s"),
+    ("_radps", "rad/s"),
+    ("_mps2", "m/s²"),
+    ("_kgpm3", "kg/m³"),
+    ("_deg", "degrees"),
+    ("_steps", "steps"),
+    ("minutes", "minutes"),
+    ("_entropy", "nats"),
+    ("_m", "m"),
+    ("_n", "N"),
+];
+
 /// The values of a configuration by key.
 fn flat(config: &Config) -> BTreeMap<String, toml::Value> {
     fn put(before: &str, value: toml::Value, into: &mut BTreeMap<String, toml::Value>) {
@@ -49,12 +64,13 @@ fn table(rows: &[&Key], presets: &[(&str, BTreeMap<String, toml::Value>)]) -> St
         let default = if default.is_empty() { default } else { format!("`{default}`") };
         let changed = presets.iter().filter(|(_, values)| values.get(&key.name) != defaults.get(&key.name));
         let changed = changed.filter_map(|(name, values)| Some(format!("{name} `{}`", values.get(&key.name)?)));
+        let unit = UNITS.iter().find(|(end, _)| key.name.ends_with(end)).map_or("", |(_, unit)| unit);
         let kind = key.kind.as_ref().map(|kind| format!(" (kind {kind})")).unwrap_or_default();
         let cells = [
             format!("`{}`{kind}", key.name),
             default,
             key.values(),
-            key.unit().to_owned(),
+            unit.to_owned(),
             key.sentence().to_owned(),
             changed.collect::<Vec<_>>().join(", "),
         ];

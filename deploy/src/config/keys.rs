@@ -85,24 +85,6 @@ impl Key {
     pub fn default(&self) -> Option<String> {
         Some(&self.schema["default"]).filter(|value| !value.is_null()).map(proto::setting::shown)
     }
-
-    /// The unit, as its name ends.
-    pub fn unit(&self) -> &'static str {
-        const UNITS: [(&str, &str); 11] = [
-            ("_mb_per_s", "MB/s"),
-            ("_mps", "m/s"),
-            ("_radps", "rad/s"),
-            ("_mps2", "m/s²"),
-            ("_kgpm3", "kg/m³"),
-            ("_deg", "degrees"),
-            ("_steps", "steps"),
-            ("minutes", "minutes"),
-            ("_entropy", "nats"),
-            ("_m", "m"),
-            ("_n", "N"),
-        ];
-        UNITS.iter().find(|(end, _)| self.name.ends_with(end)).map_or("", |(_, unit)| unit)
-    }
 }
 
 /// The values of a schema in words, empty for any text.
