@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::advantages::Estimator;
 use crate::gae::Gae;
 
-pub use loss::{LossConfig, LossTerms, Objective};
+pub(crate) use loss::LossTerms;
+pub use loss::{LossConfig, Objective};
 pub use schedule::Schedule;
 
 settings! {

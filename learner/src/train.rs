@@ -38,9 +38,7 @@ const MAX_REFUSED: u64 = 3;
      in {}", checkpoint.display()
 )]
 pub struct Diverged {
-    /// Why the last update was refused.
     reason: String,
-    /// The checkpoint with the last usable weights.
     checkpoint: PathBuf,
 }
 

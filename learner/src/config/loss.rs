@@ -34,22 +34,18 @@ pub enum Objective {
     Decoupled,
 }
 
-/// The loss coefficients of one update.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LossTerms {
-    /// See [`LossConfig::clip_range`].
-    pub clip_range: f32,
-    /// See [`LossConfig::vf_coef`].
-    pub vf_coef: f32,
-    /// See [`LossConfig::block_entropy`].
-    pub block_entropy: f32,
-    /// See [`LossConfig::move_entropy`].
-    pub move_entropy: f32,
+/// The numbers of [`LossConfig`] for one update.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LossTerms {
+    pub(crate) clip_range: f32,
+    pub(crate) vf_coef: f32,
+    pub(crate) block_entropy: f32,
+    pub(crate) move_entropy: f32,
 }
 
 impl LossConfig {
     /// Returns the coefficients after `n_env_steps` environment steps.
-    pub fn at(&self, n_env_steps: u64) -> LossTerms {
+    pub(crate) fn at(&self, n_env_steps: u64) -> LossTerms {
         LossTerms {
             clip_range: self.clip_range,
             vf_coef: self.vf_coef,
