@@ -107,7 +107,7 @@ pub async fn run(
     tracing::info!(actor = %id, env_steps = report.counters.n_env_steps, n_unsent, "actor ends");
     stepped?;
     if shared.lost_name.load(Ordering::Relaxed) {
-        return Err(BusError::NameTaken { role: Role::Actor, name: id.as_str().to_owned() }.into());
+        return Err(BusError::NameTaken(Role::Actor, id.as_str().to_owned()).into());
     }
     Ok(report)
 }

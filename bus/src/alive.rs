@@ -67,10 +67,10 @@ impl Bus {
         loop {
             let error = match self.is_alive(role, id).await {
                 Ok(false) => return self.declare_alive(role, id).await,
-                Ok(true) => BusError::NameTaken { role, name: id.to_owned() },
+                Ok(true) => BusError::NameTaken(role, id.to_owned()),
                 Err(error) => error,
             };
-            if Instant::now() >= deadline || !matches!(error, BusError::NameTaken { .. } | BusError::NoAnswer) {
+            if Instant::now() >= deadline || !matches!(error, BusError::NameTaken(..) | BusError::NoAnswer) {
                 return Err(error);
             }
             if !std::mem::replace(&mut has_warned, true) {

@@ -21,13 +21,8 @@ pub enum BusError {
     #[error("name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
     Name(String),
     /// Another live process has this name and role.
-    #[error("another live {} of this run is called {name:?}; {}", role.as_str(), advice(*role))]
-    NameTaken {
-        /// The role.
-        role: Role,
-        /// The name.
-        name: String,
-    },
+    #[error("another live {role} of this run is called {1:?}; {advice}", role = .0.as_str(), advice = advice(*.0))]
+    NameTaken(Role, String),
     /// The router did not say in time which processes are alive.
     #[error("the router does not say which processes are alive; see that it runs and is not overloaded")]
     NoAnswer,

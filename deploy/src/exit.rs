@@ -53,13 +53,8 @@ pub enum Failure {
     #[error("{0}")]
     NothingToShow(String),
     /// A signal ended an evaluation or a recording; partial results have been printed or kept; code 130.
-    #[error("interrupted after {n_ended} of {n_planned} episodes")]
-    Interrupted {
-        /// Episodes that had ended.
-        n_ended: u64,
-        /// Episodes that were planned.
-        n_planned: u64,
-    },
+    #[error("interrupted after {0} of {1} episodes")]
+    Interrupted(u64, u64),
     /// A signal ended a command before it had saved anything in its folder; code 130.
     #[error("interrupted; nothing was saved in {}", .0.display())]
     NothingWritten(PathBuf),
@@ -160,7 +155,7 @@ impl Failure {
             Self::FewFiles(_) => 71,
             Self::Unfinished(_) => 75,
             Self::Service(_) | Self::Output(_) => 1,
-            Self::Interrupted { .. } | Self::NothingWritten(_) => INTERRUPTED,
+            Self::Interrupted(..) | Self::NothingWritten(_) => INTERRUPTED,
         })
     }
 }
@@ -176,7 +171,7 @@ mod tests {
             proto::CanonicalSettings::default().with("policy", &policy)
         });
         let difference = theirs.difference(&own).unwrap();
-        let error = evaluator::PolicyError::OtherSettings { version: proto::WeightsVersion(5), difference };
+        let error = evaluator::PolicyError::OtherSettings(proto::WeightsVersion(5), difference);
         let failure = Failure::from(anyhow::Error::new(actor::RolloutError::from(error)));
         assert_eq!(failure.exit_code(), ExitCode::from(64));
         let sentence =

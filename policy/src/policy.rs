@@ -26,14 +26,8 @@ pub use attention::Attention;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyError {
     /// The weights are of a run with other settings of the policy or, for an actor, the world.
-    #[error("weights {version} are of a run with other settings")]
-    OtherSettings {
-        /// Version of the weights.
-        version: WeightsVersion,
-        /// The first difference.
-        #[source]
-        difference: SettingsDifference,
-    },
+    #[error("weights {0} are of a run with other settings")]
+    OtherSettings(WeightsVersion, #[source] SettingsDifference),
     /// The weights belong to another network.
     #[error("weights {0} are for network {1:016x}, this process runs {2:016x}")]
     OtherNetwork(WeightsVersion, u64, u64),
@@ -56,7 +50,7 @@ pub fn check_settings(
     own: &CanonicalSettings,
 ) -> Result<(), PolicyError> {
     match theirs.difference(own) {
-        Some(difference) if !theirs.is_empty() => Err(PolicyError::OtherSettings { version, difference }),
+        Some(difference) if !theirs.is_empty() => Err(PolicyError::OtherSettings(version, difference)),
         _ => Ok(()),
     }
 }

@@ -79,7 +79,7 @@ pub(super) async fn run(args: &EvalArgs, terminal: &Terminal, shutdown: &Cancell
             terminal.print(&endings.table());
         }
     }
-    if report.summary.is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
+    if report.summary.is_complete { Ok(()) } else { Err(Failure::Interrupted(n_ended, n_planned)) }
 }
 
 /// The default configuration with `overrides` applied.

@@ -80,7 +80,7 @@ pub(super) async fn run(args: &RecordArgs, terminal: &Terminal, shutdown: &Cance
     }
     let is_complete = played.map_err(anyhow::Error::from)?;
     terminal.print(&said);
-    if is_complete { Ok(()) } else { Err(Failure::Interrupted { n_ended, n_planned }) }
+    if is_complete { Ok(()) } else { Err(Failure::Interrupted(n_ended, n_planned)) }
 }
 
 fn create(folder: &Path) -> Result<(), Failure> {
