@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use deploy::config::{Base, Config, Override, PRESETS, check_variables, merge};
+use deploy::config::{Config, DEFAULTS, Override, PRESETS, check_variables, merge};
 use proto::Valid;
 
 use crate::repository::{files, read, root, shown};
@@ -75,7 +75,7 @@ fn a_value_out_of_range_is_named_with_its_range() {
         ),
     ] {
         let set = Override::parse(set).unwrap();
-        let config = merge("", "the defaults", Base::Defaults, &[set]).unwrap();
+        let config = merge("", "the defaults", &DEFAULTS, &[set]).unwrap();
         assert_eq!(Valid::new(config).unwrap_err().to_string(), error);
     }
 }
