@@ -1,7 +1,6 @@
 //! The state of a learner except its network and optimizer, stored in `state.json`.
 
 use policy::PolicyConfig;
-use policy::model::NormalizationFields;
 use policy::normalization::{self, FeatureMoments};
 use proto::setting::Setting;
 use proto::{CanonicalSettings, InvalidSetting, Normalization, Weights, WeightsVersion};
@@ -42,7 +41,6 @@ pub struct LearnerState {
     /// Number of trajectories by result.
     pub mailbox: MailboxCounts,
     /// Normalization that belongs to the parameters.
-    #[serde(with = "NormalizationFields")]
     pub normalization: Normalization,
 }
 

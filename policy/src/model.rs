@@ -48,20 +48,9 @@ struct Header {
     settings: CanonicalSettings,
     digest: String,
     table: Vec<ParameterSpec>,
-    #[serde(with = "NormalizationFields")]
     normalization: Normalization,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     verdict: Option<Value>,
-}
-
-/// The serde form of [`Normalization`], which itself only has a wire form.
-#[derive(Serialize, Deserialize)]
-#[serde(remote = "Normalization", deny_unknown_fields)]
-pub struct NormalizationFields {
-    feature_mean: [Vec<f32>; 3],
-    feature_std: [Vec<f32>; 3],
-    value_mean: f32,
-    value_std: f32,
 }
 
 impl Model {

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use blueprints::BlueprintId;
+use serde::{Deserialize, Serialize};
 
 use crate::CanonicalSettings;
 
 /// Version of published weights, counted from 0 (untrained).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct WeightsVersion(pub u64);
 
@@ -19,7 +20,8 @@ impl fmt::Display for WeightsVersion {
 }
 
 /// Running statistics frozen with a weights version.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Normalization {
     /// Mean of each node, edge and global feature, in the order of the feature vectors; empty means none.
     pub feature_mean: [Vec<f32>; 3],
