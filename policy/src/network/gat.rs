@@ -15,10 +15,11 @@
 
 use blueprints::N_BLOCKS as N;
 use burn::module::Module;
+use burn::nn::{LayerNorm, Linear};
 use burn::tensor::{Device, Tensor, TensorData, activation};
 
 use super::BatchTensors;
-use super::layers::{Builder, LayerNorm, Linear, Projection};
+use super::layers::{Builder, Kernel, bias};
 use crate::config::GatConfig;
 use crate::features::FeatureSizes;
 use crate::parameters::Initializer;
@@ -40,10 +41,10 @@ pub(super) struct GatEncoder {
 /// Parameters of one layer; layers do not share parameters.
 #[derive(Module, Debug)]
 struct GatLayer {
-    message: Projection,
-    query: Option<Projection>,
-    key: Option<Projection>,
-    node_proj: Projection,
+    message: Kernel,
+    query: Option<Kernel>,
+    key: Option<Kernel>,
+    node_proj: Kernel,
     ln_attn: LayerNorm,
     mlp_node: Vec<Linear>,
     ln_mlp: LayerNorm,
@@ -79,10 +80,10 @@ impl GatEncoder {
                 let name = |part: &str| format!("layer{l}.{part}");
                 let mlp = [2 * width, config.mlp_hidden, width];
                 GatLayer {
-                    message: builder.projection(&name("message"), [2 * width, inner], init),
-                    query: config.attention.then(|| builder.projection(&name("query"), [2 * width, inner], init)),
-                    key: config.attention.then(|| builder.projection(&name("key"), [width, inner], init)),
-                    node_proj: builder.projection(&name("node_proj"), [inner, width], init),
+                    message: builder.kernel(&name("message"), [2 * width, inner], init),
+                    query: config.attention.then(|| builder.kernel(&name("query"), [2 * width, inner], init)),
+                    key: config.attention.then(|| builder.kernel(&name("key"), [width, inner], init)),
+                    node_proj: builder.kernel(&name("node_proj"), [inner, width], init),
                     ln_attn: builder.layer_norm(&name("ln_attn"), width),
                     mlp_node: builder.mlp(&name("mlp_node"), &mlp),
                     ln_mlp: builder.layer_norm(&name("ln_mlp"), width),
@@ -101,28 +102,25 @@ impl GatEncoder {
 
     fn fold_layer(&self, layer: &GatLayer) -> FoldedLayer {
         let GatConfig { n_heads, head_dim, .. } = self.config;
-        let [_, width] = layer.node_proj.w.dims();
-        let [ed, _] = self.embed_edge.w.dims();
-        let embed = self.embed_edge.w.val();
+        let [_, width] = layer.node_proj.dims();
+        let [ed, _] = self.embed_edge.weight.dims();
+        let embed = self.embed_edge.weight.val();
         // Rows of a two-part kernel, split by head: `[H, width, head_dim]`.
         let by_head = |w: Tensor<2>, part: usize| {
             w.slice_dim(0, part * width..(part + 1) * width).reshape([width, n_heads, head_dim]).swap_dims(0, 1)
         };
         let attend = layer.query.as_ref().zip(layer.key.as_ref()).map(|(query, key)| {
-            let key = by_head(key.w.val(), 0).div_scalar((head_dim as f32).sqrt());
-            let [to_node, to_edge] =
-                [0, 1].map(|part| key.clone().matmul(by_head(query.w.val(), part).swap_dims(1, 2)));
+            let key = by_head(key.val(), 0).div_scalar((head_dim as f32).sqrt());
+            let [to_node, to_edge] = [0, 1].map(|part| key.clone().matmul(by_head(query.val(), part).swap_dims(1, 2)));
             let to_edge = to_edge.matmul(embed.clone().transpose().unsqueeze::<3>());
             [
                 to_node.swap_dims(0, 1).reshape([width, n_heads * width]),
                 to_edge.swap_dims(0, 1).reshape([width, n_heads * ed]),
             ]
         });
-        let project = layer.node_proj.w.val().reshape([n_heads, head_dim, width]);
-        let [from_nodes, from_embedded] =
-            [0, 1].map(|part| by_head(layer.message.w.val(), part).matmul(project.clone()));
-        let bias = self.embed_edge.b.val().unsqueeze::<2>();
-        let constant = bias.matmul(from_embedded.clone().sum_dim(0).squeeze_dim::<2>(0));
+        let project = layer.node_proj.val().reshape([n_heads, head_dim, width]);
+        let [from_nodes, from_embedded] = [0, 1].map(|part| by_head(layer.message.val(), part).matmul(project.clone()));
+        let constant = bias(&self.embed_edge).matmul(from_embedded.clone().sum_dim(0).squeeze_dim::<2>(0));
         let from_edges = embed.unsqueeze::<3>().matmul(from_embedded);
         let (from_nodes, from_edges) = if attend.is_some() {
             (from_nodes.reshape([n_heads * width, width]), from_edges.reshape([n_heads * ed, width]))
@@ -130,7 +128,7 @@ impl GatEncoder {
             // All heads compute the same average, so their projections add up.
             (from_nodes.sum_dim(0).squeeze_dim(0), from_edges.sum_dim(0).squeeze_dim(0))
         };
-        let mlp = layer.mlp_node[0].w.val();
+        let mlp = layer.mlp_node[0].weight.val();
         let mlp_node = [mlp.clone().slice_dim(0, 0..width), mlp.slice_dim(0, width..2 * width)];
         FoldedLayer { attend, from_nodes, from_edges, constant, mlp_node }
     }
@@ -214,7 +212,7 @@ impl GatLayer {
         let [rows, width] = y.dims();
         let [on_node, on_global] = &folded.mlp_node;
         // The global's half of the first layer is computed once per graph, not per node.
-        let shared = global.matmul(on_global.clone()) + self.mlp_node[0].b.val().unsqueeze();
+        let shared = global.matmul(on_global.clone()) + bias(&self.mlp_node[0]);
         let [b, hidden] = shared.dims();
         let own = y.clone().matmul(on_node.clone()).reshape([b, N, hidden]);
         let h = activation::relu(own + shared.unsqueeze_dim(1)).reshape([rows, hidden]);

@@ -2,9 +2,10 @@
 
 use blueprints::N_BLOCKS as N;
 use burn::module::Module;
+use burn::nn::Linear;
 use burn::tensor::{Tensor, activation};
 
-use super::layers::{Builder, Linear, Projection};
+use super::layers::{Builder, Kernel};
 use crate::config::{MIN_STD, MoveHead, NetworkConfig};
 use crate::distribution::MOVE;
 use crate::features::FeatureSizes;
@@ -23,11 +24,11 @@ pub struct MoveTensors {
 /// Maps node and global vectors to the action distribution.
 #[derive(Module, Debug)]
 pub(super) struct PolicyHead {
-    input_global: Projection,
+    input_global: Kernel,
     act_loc: Option<Linear>,
     act_scale: Option<Linear>,
-    grip_key: Projection,
-    block_key: Projection,
+    grip_key: Kernel,
+    block_key: Kernel,
     proposals: Option<Linear>,
     #[module(skip)]
     std_offset: f32,
@@ -36,8 +37,8 @@ pub(super) struct PolicyHead {
 /// Maps global vectors and the block choice to the value.
 #[derive(Module, Debug)]
 pub(super) struct ValueHead {
-    input_global: Projection,
-    graph_global: Projection,
+    input_global: Kernel,
+    graph_global: Kernel,
     mlp: Vec<Linear>,
 }
 
@@ -50,11 +51,11 @@ impl PolicyHead {
             is_gaussian.then(|| builder.linear(name, [width, MOVE], Initializer::FanIn(1e-4)))
         };
         Self {
-            input_global: builder.projection("head.input_global", [sizes.global, width], init),
+            input_global: builder.kernel("head.input_global", [sizes.global, width], init),
             act_loc: gaussian(builder, "head.act_loc"),
             act_scale: gaussian(builder, "head.act_scale"),
-            grip_key: builder.projection("head.grip_key", [2 * width, grippers * width], init),
-            block_key: builder.projection("head.block_key", [width + grippers, width], init),
+            grip_key: builder.kernel("head.grip_key", [2 * width, grippers * width], init),
+            block_key: builder.kernel("head.block_key", [width + grippers, width], init),
             proposals: (config.move_head == MoveHead::Mixture)
                 .then(|| builder.linear("head.proposals", [width, N_READOUTS], Initializer::FanIn(0.1))),
             std_offset: config.std_offset(),
@@ -67,11 +68,11 @@ impl PolicyHead {
     /// nodes `[B·16, w]`, global `[B, w]`, raw globals `[B, gd]` → `[B, G, 16]`
     pub(super) fn logits(&self, nodes: &Tensor<2>, global: &Tensor<2>, raw: &Tensor<2>) -> Tensor<3> {
         let [b, width] = global.dims();
-        let grippers = self.block_key.w.dims()[0] - width;
-        let own = raw.clone().matmul(self.input_global.w.val());
-        let grip = Tensor::cat(vec![own, global.clone()], 1).matmul(self.grip_key.w.val());
+        let grippers = self.block_key.dims()[0] - width;
+        let own = raw.clone().matmul(self.input_global.val());
+        let grip = Tensor::cat(vec![own, global.clone()], 1).matmul(self.grip_key.val());
         let held = held_bits(raw, grippers).reshape([b * N, grippers]);
-        let keys = Tensor::cat(vec![nodes.clone(), held], 1).matmul(self.block_key.w.val()).reshape([b, N, width]);
+        let keys = Tensor::cat(vec![nodes.clone(), held], 1).matmul(self.block_key.val()).reshape([b, N, width]);
         grip.reshape([b, grippers, width]).matmul(keys.swap_dims(1, 2)).div_scalar((width as f32).sqrt())
     }
 
@@ -106,8 +107,8 @@ impl ValueHead {
         widths.extend(&config.value_hidden);
         widths.push(1);
         Self {
-            input_global: builder.projection("value.input_global", [sizes.global, width], init),
-            graph_global: builder.projection("value.graph_global", [width, width], init),
+            input_global: builder.kernel("value.input_global", [sizes.global, width], init),
+            graph_global: builder.kernel("value.graph_global", [width, width], init),
             mlp: builder.mlp("value.mlp", &widths),
         }
     }
@@ -118,8 +119,8 @@ impl ValueHead {
     /// global `[B, w]`, raw globals `[B, gd]`, logits `[B, G, 16]` → `[B]`
     pub(super) fn forward(&self, global: &Tensor<2>, raw: &Tensor<2>, logits: &Tensor<3>) -> Tensor<1> {
         let choice = activation::softmax(logits.clone().detach(), 2).flatten::<2>(1, 2);
-        let own = raw.clone().matmul(self.input_global.w.val());
-        let graph = global.clone().matmul(self.graph_global.w.val());
+        let own = raw.clone().matmul(self.input_global.val());
+        let graph = global.clone().matmul(self.graph_global.val());
         let mut x = Tensor::cat(vec![own, graph, choice], 1);
         for (j, layer) in self.mlp.iter().enumerate() {
             x = layer.forward(if j == 0 { x } else { activation::relu(x) });

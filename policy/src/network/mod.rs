@@ -11,7 +11,6 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
 pub use heads::MoveTensors;
-pub use layers::LayerNorm;
 pub use tensors::BatchTensors;
 pub(crate) use tensors::listed_index;
 

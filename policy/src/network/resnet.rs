@@ -2,10 +2,11 @@
 
 use blueprints::N_BLOCKS as N;
 use burn::module::Module;
+use burn::nn::{LayerNorm, Linear};
 use burn::tensor::{Tensor, activation};
 
 use super::BatchTensors;
-use super::layers::{Builder, LayerNorm, Linear};
+use super::layers::Builder;
 use crate::config::ResnetConfig;
 use crate::features::{FeatureSizes, N_EDGES};
 use crate::parameters::Initializer;
