@@ -98,7 +98,7 @@ fn choose(seen: &Observation<'_>, proposals: &Proposals, focus: &mut Focus, rng:
     let pieces = scene.pieces(goal);
     let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
     let smaller_first = |a, b| if size(a) <= size(b) { (a, b) } else { (b, a) };
-    let hold = |block| (block, Slot::alone(Kind::Hold));
+    let hold = |block| (block, Slot::HOLD);
     let is_wrong = |joint: &&Joint| !joint.is_right(goal);
     if let Some(wrong) = scene.joints.iter().find(is_wrong) {
         let (i, j) = smaller_first(wrong.a, wrong.b);

@@ -314,7 +314,7 @@ mod tests {
 
     #[test]
     fn draws_that_the_move_head_does_not_make_are_refused() {
-        let hold = Some(Slot::alone(policy::proposals::Kind::Hold).index());
+        let hold = Some(Slot::HOLD.index());
         let check = |move_head, proposals| {
             let setup = small_setup(1).with_policy(|c| c.network.move_head = move_head);
             let mut drawn = trajectory(2, 5);

@@ -101,7 +101,7 @@ mod tests {
             (of(Kind::Detach, b), Some(wrong), Some(right), done),
             (of(Kind::Detach, b), Some(wrong), Some(wrong), not),
             (of(Kind::Detach, b), Some(right), None, nothing),
-            (Slot::alone(Kind::Hold), None, Some(right), nothing),
+            (Slot::HOLD, None, Some(right), nothing),
         ] {
             let mut segment = trajectory(1, 1);
             segment.transitions[0].scene.joints.extend(before);

@@ -42,10 +42,10 @@ mod at {
     pub(super) const PROPOSAL_QUERY: usize = 0;
     /// For each kind with a partner: the coefficients of the relation, and a bias.
     pub(super) const PAIRED: usize = PROPOSAL_QUERY + 2 * D;
-    /// For each kind without a partner: a bias.
-    pub(super) const ALONE: usize = PAIRED + N_PAIRED * (N_RELATION + 1);
+    /// To hold: a bias.
+    pub(super) const HOLD: usize = PAIRED + N_PAIRED * (N_RELATION + 1);
     /// For each kind of the first gripper and each kind: a bias of the second gripper's proposal.
-    pub(super) const AFTER: usize = ALONE + (N_KINDS - N_PAIRED);
+    pub(super) const AFTER: usize = HOLD + 1;
     /// The same, if the partner is the first gripper's block.
     pub(super) const TOWARD_FIRST: usize = AFTER + N_KINDS * N_KINDS;
     /// The same, if in addition the first gripper's partner is this block.
@@ -233,15 +233,10 @@ impl Row {
 
     /// The terms of a proposal that do not depend on the other gripper.
     fn proposal(&mut self, proposals: &Proposals, block: BlockIdx, slot: Slot) {
-        let kind = slot.kind() as usize;
-        match slot.partner() {
-            Some(partner) => {
-                let start = at::PAIRED + kind * (N_RELATION + 1);
-                self.relation(start, proposals.relation(block, partner));
-                self.term(start + N_RELATION, 1.0);
-            }
-            None => self.term(at::ALONE + kind - N_PAIRED, 1.0),
-        }
+        let Some(partner) = slot.partner() else { return self.term(at::HOLD, 1.0) };
+        let start = at::PAIRED + slot.kind() as usize * (N_RELATION + 1);
+        self.relation(start, proposals.relation(block, partner));
+        self.term(start + N_RELATION, 1.0);
     }
 }
 

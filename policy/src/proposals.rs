@@ -68,8 +68,8 @@ use self::openings::{Cell, Shape, opening};
 use self::way::{STEP_M, STEP_RAD, Way};
 use crate::geometry::{matrix, rotation_vector};
 
-/// Number of slots of a block: one for each kind and partner, and one for each kind without a partner.
-pub const N_SLOTS: usize = Kind::PAIRED.len() * N + Kind::ALONE.len();
+/// Number of slots of a block: one for each kind with a partner and each partner, and one to hold.
+pub const N_SLOTS: usize = Kind::PAIRED.len() * N + 1;
 
 /// Number of entries of a [relation](Proposals::relation).
 pub const N_RELATION: usize = 8;
@@ -95,9 +95,7 @@ pub enum Kind {
 impl Kind {
     /// The kinds with a partner, in the order of their slots.
     pub const PAIRED: [Self; 2] = [Self::Join, Self::Detach];
-    /// The kinds without a partner, in the order of their slots.
-    pub const ALONE: [Self; 1] = [Self::Hold];
-    /// All kinds.
+    /// All kinds, in the order of their slots.
     pub const ALL: [Self; 3] = [Self::Join, Self::Detach, Self::Hold];
 
     /// Returns the name, as in metrics: `join`, `detach`, or `hold`.
@@ -115,6 +113,9 @@ impl Kind {
 pub struct Slot(u8);
 
 impl Slot {
+    /// The slot to hold.
+    pub const HOLD: Self = Self((N_SLOTS - 1) as u8);
+
     /// Returns the slot of a kind with a partner.
     ///
     /// # Panics
@@ -122,15 +123,6 @@ impl Slot {
     pub fn paired(kind: Kind, partner: BlockIdx) -> Self {
         let at = Kind::PAIRED.iter().position(|&paired| paired == kind).expect("a kind with a partner");
         Self((at * N + partner.get()) as u8)
-    }
-
-    /// Returns the slot of a kind without a partner.
-    ///
-    /// # Panics
-    /// If the kind has one.
-    pub fn alone(kind: Kind) -> Self {
-        let at = Kind::ALONE.iter().position(|&alone| alone == kind).expect("a kind without a partner");
-        Self((Kind::PAIRED.len() * N + at) as u8)
     }
 
     /// Returns the slot with this index; `None` if there is none.
@@ -150,8 +142,7 @@ impl Slot {
 
     /// Returns the partner; `None` if the kind has none.
     pub fn partner(self) -> Option<BlockIdx> {
-        let at = usize::from(self.0);
-        if at < Kind::PAIRED.len() * N { BlockIdx::try_from((at % N) as u8).ok() } else { None }
+        if self == Self::HOLD { None } else { BlockIdx::try_from(self.0 % N as u8).ok() }
     }
 }
 
@@ -207,7 +198,7 @@ impl Proposals {
             }
             let wrong = others().filter(|&j| view.connections[i.get()][j.get()] == Connection::Wrong);
             slots.extend(wrong.map(|j| Slot::paired(Kind::Detach, j)));
-            slots.push(Slot::alone(Kind::Hold));
+            slots.push(Slot::HOLD);
             ends[i.get()] = slots.len() as u16;
         }
         Self { layout: view.layout, slots, ends, joinings, relations }

@@ -129,12 +129,11 @@ fn error(scene: &Scene, goal: &Blueprint, i: BlockIdx, j: BlockIdx) -> (f32, f32
 fn slots_are_numbered_by_kind_and_partner() {
     assert_eq!(Slot::paired(Kind::Join, block(3)).index(), 3);
     assert_eq!(Slot::paired(Kind::Detach, block(15)).index(), 31);
-    assert_eq!(Slot::alone(Kind::Hold).index(), 32);
+    assert_eq!(Slot::HOLD.index(), 32);
     assert_eq!(Slot::from_index(33), None);
     for index in 0..33 {
         let slot = Slot::from_index(index).unwrap();
-        let again =
-            slot.partner().map_or_else(|| Slot::alone(slot.kind()), |partner| Slot::paired(slot.kind(), partner));
+        let again = slot.partner().map_or(Slot::HOLD, |partner| Slot::paired(slot.kind(), partner));
         assert_eq!(slot, again);
     }
 }
@@ -268,8 +267,8 @@ fn a_long_piece_that_is_held_turns_until_it_is_level_and_comes_while_it_waits() 
     let first = reach(&scene);
     assert!(first.norm() > 0.4 && first.z.abs() > 0.1, "{first}");
     for _ in 0..20 {
-        let (before, hold) = (reach(&scene), Slot::alone(Kind::Hold));
-        let hold = proposals(&scene, &goal).get(held, hold).unwrap().movement;
+        let before = reach(&scene);
+        let hold = proposals(&scene, &goal).get(held, Slot::HOLD).unwrap().movement;
         scene.blocks[held.get()] = moved(&scene.blocks[held.get()], &hold);
         build_about(held, &mut scene, &goal, None);
         assert!((reach(&scene) - before).norm() < 0.1 + 1e-3);
@@ -329,7 +328,7 @@ fn far_moves_are_scaled_so_that_shift_and_turn_arrive_together_and_noise_grows_w
     let most = join.movement.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
     assert!((most - 1.0).abs() < 1e-6);
     assert!((join.noise() - 0.03).abs() < 1e-6);
-    let still = found.get(high, Slot::alone(Kind::Hold)).unwrap();
+    let still = found.get(high, Slot::HOLD).unwrap();
     assert!(still.movement == [0.0; 6] && (still.noise() - 0.01).abs() < 1e-6);
 }
 
@@ -360,7 +359,7 @@ fn hold_rises_to_half_a_meter_and_no_higher() {
     let mut scene = scattered();
     let held = block(5);
     let rises = |scene: &Scene| {
-        let hold = proposals(scene, &goal).get(held, Slot::alone(Kind::Hold)).unwrap();
+        let hold = proposals(scene, &goal).get(held, Slot::HOLD).unwrap();
         moved(&scene.blocks[held.get()], &hold.movement).position[2]
     };
     scene.blocks[held.get()].position[2] = 0.35;
@@ -511,7 +510,7 @@ fn draws_that_a_scene_does_not_offer_are_refused() {
     let (goal, scene) = busy();
     let found = proposals(&scene, &goal);
     let (a, b) = (block(0), block(1));
-    let hold = Some(Slot::alone(Kind::Hold));
+    let hold = Some(Slot::HOLD);
     let offered =
         |blocks: [Option<BlockIdx>; 2], slots: [Option<Slot>; 2]| ActionRows::new(&found, &blocks, &slots).is_some();
     assert!(offered([Some(a), Some(b)], [hold, hold]));
