@@ -143,7 +143,7 @@ fn batch(config: &FeatureConfig, b: usize) -> FeatureBatch {
     let FeatureSizes { node, edge, global, .. } = batch.sizes;
     batch.n = b;
     (batch.nodes, batch.edges, batch.globals) = (fill(b * 16 * node), fill(b * 240 * edge), fill(b * global));
-    batch.allowed = vec![true; b * 16];
+    batch.allowed = vec![[true; 16]; b];
     batch
 }
 

@@ -18,8 +18,8 @@ pub struct FeatureBatch {
     pub edges: Vec<f32>,
     /// `[n, gd]`
     pub globals: Vec<f32>,
-    /// `[n, 16]`: whether [`BlockMask::Blueprint`](crate::config::BlockMask) allows a gripper to choose the block.
-    pub allowed: Vec<bool>,
+    /// `[n]`: the blocks that [`BlockMask::Blueprint`] allows.
+    pub allowed: Vec<[bool; N_BLOCKS]>,
     /// `[n]`: what the mixture head chooses among; empty for the Gaussian head.
     pub proposals: Vec<Proposals>,
     /// nd, ed, and gd.
@@ -58,7 +58,6 @@ impl FeatureBatch {
 
     /// Appends a scene.
     pub fn push(&mut self, observation: &Observation<'_>) {
-        let Observation { scene, blueprint } = *observation;
         let FeatureSizes { node, edge, global, .. } = self.sizes;
         let (nodes_at, edges_at, globals_at) = (self.nodes.len(), self.edges.len(), self.globals.len());
         self.nodes.resize(nodes_at + N_BLOCKS * node, 0.0);
@@ -71,13 +70,7 @@ impl FeatureBatch {
             &mut self.edges[edges_at..],
             &mut self.globals[globals_at..],
         );
-        let allowed_at = self.allowed.len();
-        self.allowed.extend(BlockIdx::all().map(|block| blueprint.contains(block)));
-        for joint in &scene.joints {
-            // Wrong connections must be broken, and two blocks come apart only if a gripper holds each of them.
-            self.allowed[allowed_at + joint.a.get()] = true;
-            self.allowed[allowed_at + joint.b.get()] = true;
-        }
+        self.allowed.push(allowed(observation));
         if self.with_proposals {
             self.proposals.push(Proposals::new(observation));
         }
@@ -91,7 +84,7 @@ impl FeatureBatch {
         self.nodes.truncate(n * N_BLOCKS * self.sizes.node);
         self.edges.truncate(n * N_EDGES * self.sizes.edge);
         self.globals.truncate(n * self.sizes.global);
-        self.allowed.truncate(n * N_BLOCKS);
+        self.allowed.truncate(n);
         self.proposals.truncate(n);
     }
 
@@ -110,7 +103,7 @@ impl FeatureBatch {
             nodes: pick(&self.nodes, N_BLOCKS * self.sizes.node, rows),
             edges: pick(&self.edges, N_EDGES * self.sizes.edge, rows),
             globals: pick(&self.globals, self.sizes.global, rows),
-            allowed: pick(&self.allowed, N_BLOCKS, rows),
+            allowed: pick(&self.allowed, 1, rows),
             proposals: rows.iter().filter_map(|&row| self.proposals.get(row).cloned()).collect(),
             sizes: self.sizes,
             config: self.config,
@@ -125,9 +118,19 @@ impl PolicyConfig {
     /// # Panics
     /// If the batch has no such row.
     pub fn choosable(&self, batch: &FeatureBatch, row: usize) -> Option<[bool; N_BLOCKS]> {
-        let is_masked = self.mask == BlockMask::Blueprint;
-        is_masked.then(|| std::array::from_fn(|block| batch.allowed[row * N_BLOCKS + block]))
+        (self.mask == BlockMask::Blueprint).then(|| batch.allowed[row])
     }
+}
+
+/// Returns the blocks that a gripper may choose with [`BlockMask::Blueprint`]: those of the blueprint, and connected
+/// ones. Wrong connections must be broken, and two blocks come apart only if a gripper holds each of them.
+pub fn allowed(observation: &Observation<'_>) -> [bool; N_BLOCKS] {
+    let mut allowed = BlockIdx::array(|block| observation.blueprint.contains(block));
+    for joint in &observation.scene.joints {
+        allowed[joint.a.get()] = true;
+        allowed[joint.b.get()] = true;
+    }
+    allowed
 }
 
 fn pick<T: Copy>(values: &[T], stride: usize, rows: &[usize]) -> Vec<T> {

@@ -178,7 +178,7 @@ fn the_mask_admits_blocks_that_may_have_to_be_taken_apart() {
     let mut batch = FeatureBatch::new(&small().features);
     let scene = Scene { joints: vec![joint(strays[0], inside), joint(strays[1], strays[2])], ..scene(1) };
     batch.push(&Observation { scene: &scene, blueprint: blueprint() });
-    let allowed = BlockIdx::all().filter(|block| batch.allowed[block.get()]);
+    let allowed = BlockIdx::all().filter(|block| batch.allowed[0][block.get()]);
     assert!(allowed.eq(BlockIdx::all().filter(|block| blueprint().contains(*block) || strays.contains(block))));
 }
 

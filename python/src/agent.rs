@@ -213,7 +213,7 @@ impl Actor {
         self.batch.nodes.extend_from_slice(nodes);
         self.batch.edges.extend_from_slice(edges);
         self.batch.globals.extend_from_slice(globals);
-        edges.chunks_exact(N_EDGES * edge).for_each(|edges| self.batch.allowed.extend(allowed(edges, edge)));
+        self.batch.allowed.extend(edges.chunks_exact(N_EDGES * edge).map(|edges| allowed(edges, edge)));
         self.batch.proposals = proposals;
         self.grow(n);
         self.policy.act_on(&mut self.batch, &vec![mode; n], &mut self.rngs[..n])

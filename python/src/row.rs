@@ -1,6 +1,6 @@
 //! One world of a batch, with the random generator of its episodes.
 
-use blueprints::{BlockIdx, N_BLOCKS};
+use blueprints::N_BLOCKS;
 use environment::{
     Arrangement, ArrangementError, Env, EnvironmentConfig, Expert, ResetError, StartError, StepResult, World,
 };
@@ -183,13 +183,9 @@ impl Row {
         proposals.get_or_insert_with(make)
     }
 
-    /// Returns the blocks that a masked gripper may choose: those of the blueprint, and connected ones, which may have to
-    /// be taken apart.
+    /// Returns the blocks that a masked gripper may choose.
     pub(crate) fn allowed(&self) -> [bool; N_BLOCKS] {
-        let (scene, goal) = (self.world.scene(), self.world.blueprint());
-        let mut allowed = BlockIdx::array(|block| goal.contains(block));
-        scene.joints.iter().flat_map(|joint| [joint.a, joint.b]).for_each(|block| allowed[block.get()] = true);
-        allowed
+        policy::batch::allowed(&self.world.observation())
     }
 
     /// Returns the expert's action; idle if the blueprint has no assembly order.

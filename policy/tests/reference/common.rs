@@ -83,7 +83,7 @@ pub(crate) fn batch(sizes: FeatureSizes, n: usize, make: impl Fn(&str, usize) ->
     batch.nodes = make("nodes", n * 16 * sizes.node);
     batch.edges = make("edges", n * N_EDGES * sizes.edge);
     batch.globals = make("globals", n * sizes.global);
-    batch.allowed = vec![true; n * 16];
+    batch.allowed = vec![[true; 16]; n];
     batch
 }
 
