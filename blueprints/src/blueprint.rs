@@ -151,23 +151,12 @@ impl Split {
 
     /// The paper's splits: training and test sets, with 142 and 24 blueprints in the built-in catalog.
     pub const PAPER: [Self; 5] = [Self::Train, Self::Test, Self::TestLiteral, Self::TestLongest, Self::TestTallest];
-
-    /// Returns the name used in files and flags.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Test => "test",
-            Self::TestLiteral => "test-literal",
-            Self::TestLongest => "test-longest",
-            Self::TestTallest => "test-tallest",
-            Self::Validation => "validation",
-        }
-    }
 }
 
 impl fmt::Display for Split {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.as_str())
+        // The name in files and JSON.
+        self.serialize(f)
     }
 }
 
@@ -175,7 +164,7 @@ impl FromStr for Split {
     type Err = InvalidSplit;
 
     fn from_str(text: &str) -> Result<Self, InvalidSplit> {
-        Self::ALL.into_iter().find(|split| split.as_str() == text).ok_or_else(|| InvalidSplit(text.to_owned()))
+        Self::ALL.into_iter().find(|split| split.to_string() == text).ok_or_else(|| InvalidSplit(text.to_owned()))
     }
 }
 

@@ -104,8 +104,11 @@ fn success(page: &mut Scrape, state: &State) {
     page.gauges("eval_group_success_wilson_high_ratio", help, of(|r| r.wilson_high));
     page.gauges("eval_group_episodes", "Episodes of the newest evaluation by group", of(|r| r.n_episodes as f64));
     let blueprint = |(row, acting, [hits, n]): (&runlog::series::Row, ActionMode, [u64; 2])| {
-        let names =
-            [label("blueprint", row.id.as_str()), label("split", row.split.as_str()), label("acting", acting.name())];
+        let names = [
+            label("blueprint", row.id.as_str()),
+            label("split", &row.split.to_string()),
+            label("acting", acting.name()),
+        ];
         (names.to_vec(), SuccessRate::new(hits, n).rate)
     };
     let help = "Success rate of the newest evaluation by blueprint, 0 to 1";

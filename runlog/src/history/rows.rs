@@ -75,7 +75,7 @@ pub(super) fn append(db: &mut Connection, evaluation: &Evaluation) -> Result<()>
         let mut select_blueprint = transaction.prepare(SELECT_BLUEPRINT)?;
         let mut insert_outcome = transaction.prepare(INSERT_OUTCOME)?;
         for score in &evaluation.blueprints {
-            let key = params![score.blueprint.as_str(), score.split.as_str(), score.n_blocks];
+            let key = params![score.blueprint.as_str(), score.split.to_string(), score.n_blocks];
             insert_blueprint.execute(key)?;
             let blueprint_id: i64 = select_blueprint.query_row(key, |row| row.get(0))?;
             for (acting, outcome) in score.outcomes() {
