@@ -87,8 +87,7 @@ impl DrawnBlock {
         if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
             return Err(BlueprintError::out_of_range(type_name, at.map(i64::from)));
         }
-        let rotation = CubeRotation::all().find(|rotation| rotation.axes() == axes);
-        let rotation = rotation.ok_or_else(|| BlueprintError::bad_axes(type_name, axes))?;
+        let rotation = CubeRotation::from_axes(axes).ok_or_else(|| BlueprintError::bad_axes(type_name, axes))?;
         Ok(Self { type_name: type_name.to_owned(), at, rotation, is_free })
     }
 }

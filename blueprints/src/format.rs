@@ -255,10 +255,8 @@ fn parse_block(text: &str, raw: Spanned<RawBlock>, i: usize) -> Result<DraftBloc
     let parse_size =
         |size: &Spanned<Value>| whole_numbers(size.get_ref()).and_then(narrow).ok_or_else(|| bad_cells("size", size));
     let size = size.as_ref().map(parse_size).transpose()?;
-    let parse_axes = |axes: String| {
-        let turn = axes.split_once(' ').and_then(|(x, y)| CubeRotation::from_images(parse_axis(x)?, parse_axis(y)?));
-        turn.ok_or_else(|| BlueprintError::bad_axes(&name, &axes))
-    };
+    let parse_axes =
+        |axes: String| CubeRotation::from_axes(&axes).ok_or_else(|| BlueprintError::bad_axes(&name, &axes));
     let turn = axes.map(parse_axes).transpose()?;
     Ok(DraftBlock { name, type_name, at, turn, size })
 }

@@ -86,12 +86,9 @@ impl CubeRotation {
         (0..24).map(Self)
     }
 
-    /// Returns the rotation that maps x to `x` and y to `y`; `None` unless both are distinct signed unit axes.
-    pub fn from_images(x: [i32; 3], y: [i32; 3]) -> Option<Self> {
-        Self::all().find(|r| {
-            let m = r.matrix();
-            (0..3).all(|i| m[i][0] == x[i] && m[i][1] == y[i])
-        })
+    /// Returns the rotation with these [axes](Self::axes); `None` unless they are two different axes.
+    pub fn from_axes(axes: &str) -> Option<Self> {
+        Self::all().find(|rotation| rotation.axes() == axes)
     }
 
     /// Returns the rotation as a row-major matrix of −1, 0, and 1; column `j` is the image of axis `j`.
@@ -217,17 +214,21 @@ mod tests {
 
     #[test]
     fn index_order_follows_the_images_of_x_and_y() {
-        let check = |index: u8, x: [i32; 3], y: [i32; 3]| {
-            assert_eq!(CubeRotation::from_images(x, y), CubeRotation::try_from(index).ok(), "index {index}");
-        };
-        check(0, [1, 0, 0], [0, 1, 0]);
-        check(1, [1, 0, 0], [0, -1, 0]);
-        check(3, [1, 0, 0], [0, 0, -1]);
-        check(4, [-1, 0, 0], [0, 1, 0]);
-        check(8, [0, 1, 0], [1, 0, 0]);
-        check(23, [0, 0, -1], [0, -1, 0]);
-        assert_eq!(CubeRotation::from_images([1, 0, 0], [1, 0, 0]), None);
-        assert_eq!(CubeRotation::from_images([1, 1, 0], [0, 0, 1]), None);
+        for (index, axes, x, y) in [
+            (0, "+x +y", [1, 0, 0], [0, 1, 0]),
+            (1, "+x -y", [1, 0, 0], [0, -1, 0]),
+            (3, "+x -z", [1, 0, 0], [0, 0, -1]),
+            (4, "-x +y", [-1, 0, 0], [0, 1, 0]),
+            (8, "+y +x", [0, 1, 0], [1, 0, 0]),
+            (23, "-z -y", [0, 0, -1], [0, -1, 0]),
+        ] {
+            let rotation = CubeRotation::try_from(index).unwrap();
+            assert_eq!(CubeRotation::from_axes(axes), Some(rotation), "index {index}");
+            assert_eq!([rotation.apply([1, 0, 0]), rotation.apply([0, 1, 0])], [x, y], "index {index}");
+        }
+        for axes in ["+x +x", "+x -x", "+x", "x y", "+x  +y", ""] {
+            assert_eq!(CubeRotation::from_axes(axes), None, "{axes:?}");
+        }
         assert_eq!(CubeRotation::try_from(24), Err(InvalidRotation(24)));
     }
 

@@ -51,7 +51,7 @@ fn magnets_of_touching_faces_pair_by_cell() {
     };
     let same = CubeRotation::IDENTITY;
     // A rotation about x by π points b's +z face down.
-    let upside_down = CubeRotation::from_images([1, 0, 0], [0, -1, 0]).expect("x and −y are axes");
+    let upside_down = CubeRotation::from_axes("+x -y").expect("they are axes");
     check(12, 13, [0, 0, 2], same, 4, 0);
     check(12, 13, [0, 0, 2], upside_down, 0, 4);
     check(12, 13, [2, 2, 2], same, 1, 0);
