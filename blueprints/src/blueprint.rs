@@ -219,12 +219,6 @@ impl Blueprint {
         Some(RelativePlacement::between(self.placement(a)?, self.placement(b)?))
     }
 
-    /// Returns the number of blocks that the preferred assembly order places before this one; `None` for a block
-    /// outside the structure, or if there is no order. The first call on any copy computes it.
-    pub fn rank(&self, block: BlockIdx) -> Option<usize> {
-        self.assembly.rank(&self.placements, block)
-    }
-
     /// Returns the link between two blocks, given in either order.
     ///
     /// Its `relative` is always the pose of the block with the higher index relative to the one with the lower.

@@ -1,21 +1,14 @@
-//! A blueprint's assembly and its preferred order, computed once and shared by all its copies.
+//! A blueprint's assembly, computed once and shared by all its copies.
 
 use std::sync::{Arc, OnceLock};
 
-use super::{Assembly, NoAssembly, Parts};
+use super::{Assembly, NoAssembly};
 use crate::{BlockIdx, Placement};
-
-#[derive(Debug)]
-struct Computed {
-    assembly: Assembly,
-    /// For each part, the number of parts placed before it on the best side.
-    ranks: Vec<usize>,
-}
 
 /// The assembly of a blueprint, shared by all its copies.
 #[derive(Clone, Debug)]
 pub(crate) struct Shared {
-    computed: Arc<OnceLock<Option<Computed>>>,
+    computed: Arc<OnceLock<Option<Assembly>>>,
     /// The block used for each part.
     parts: Vec<BlockIdx>,
 }
@@ -45,40 +38,17 @@ impl Shared {
     /// # Errors
     /// If the blueprint has no assembly order.
     pub(crate) fn assembly(&self, placements: &[Placement]) -> Result<Assembly, NoAssembly> {
-        match self.computed(placements) {
-            Some(computed) => Ok(Assembly { blocks: self.parts.clone(), ..computed.assembly.clone() }),
+        let search = || Assembly::of_placements(&self.ordered(placements));
+        match self.computed.get_or_init(|| search().ok()) {
+            Some(assembly) => Ok(Assembly { blocks: self.parts.clone(), ..assembly.clone() }),
             // Search again, so that the error names these blocks.
-            None => Assembly::of_placements(&self.ordered(placements)),
+            None => search(),
         }
-    }
-
-    /// Returns the number of blocks placed before `block`; `None` if the block is not used or there is no assembly
-    /// order.
-    pub(crate) fn rank(&self, placements: &[Placement], block: BlockIdx) -> Option<usize> {
-        let part = self.parts.iter().position(|&part| part == block)?;
-        self.computed(placements)?.ranks.get(part).copied()
-    }
-
-    fn computed(&self, placements: &[Placement]) -> Option<&Computed> {
-        self.computed.get_or_init(|| Computed::new(&self.ordered(placements)).ok()).as_ref()
     }
 
     /// Returns the placements by part.
     fn ordered(&self, placements: &[Placement]) -> Vec<Placement> {
         let of = |block: &BlockIdx| placements.iter().find(|placement| placement.block == *block).copied();
         self.parts.iter().filter_map(of).collect()
-    }
-}
-
-impl Computed {
-    fn new(placements: &[Placement]) -> Result<Self, NoAssembly> {
-        let mut assembly = Assembly::of_placements(placements)?;
-        let mut placed = Parts::default();
-        let mut ranks = vec![0; placements.len()];
-        while let Some(part) = assembly.next(0, placed) {
-            ranks[part] = placed.len();
-            placed = placed.with(part);
-        }
-        Ok(Self { assembly, ranks })
     }
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::body::Bytes;
 use blueprints::drawing::word;
-use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, UNIT_M};
+use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, Placement, UNIT_M};
 use bus::Bus;
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use proto::{RewardTerms, Scene, Status, Trajectory};
@@ -184,13 +184,13 @@ fn name(inventory: &Inventory, block: BlockIdx) -> String {
     format!("{} {number}", word(inventory.block_type(block).name))
 }
 
-/// Returns the pose of the goal's frame according to one block: of those in the largest correct piece, the one that is
-/// placed first.
+/// Returns the pose of the goal's frame according to one block: of those in the largest correct piece, the lowest one of
+/// the goal.
 fn goal_frame(goal: &Blueprint, scene: &Scene) -> [f32; 7] {
     let pieces = scene.pieces(goal);
     let size = |block: BlockIdx| pieces.iter().filter(|&&piece| piece == pieces[block.get()]).count();
-    let place = |block: BlockIdx| (std::cmp::Reverse(size(block)), goal.rank(block), block);
-    let first = goal.placements().iter().min_by_key(|p| place(p.block));
+    let place = |p: &&Placement| (std::cmp::Reverse(size(p.block)), p.center_half_units[2], p.block);
+    let first = goal.placements().iter().min_by_key(place);
     let Some(placement) = first else { return pose([0.0; 3], [0.0, 0.0, 0.0, 1.0]) };
     let at = &scene.blocks[placement.block.get()];
     let turn = UnitQuaternion::new_normalize(Quaternion::from(at.orientation));
@@ -244,10 +244,10 @@ mod tests {
         assert_eq!(rewards, [0.0, 0.125, 0.25]);
         assert_eq!(scenes[2]["reward_terms"]["connected"], 2.0);
         assert_eq!(scenes[2]["reward_terms"]["blocks"], -0.5);
-        // Nothing is connected as in the goal, so the block that is placed first determines the goal's frame.
+        // Nothing is connected as in the goal, so the goal's lowest block determines its frame.
         let scene = &recording.transitions[0].scene;
         let frame = goal_frame(goal, scene);
-        let placement = goal.placements().iter().find(|p| goal.rank(p.block) == Some(0)).unwrap();
+        let placement = goal.placements().iter().min_by_key(|p| p.center_half_units[2]).unwrap();
         let turn = UnitQuaternion::new_normalize(Quaternion::from([frame[3], frame[4], frame[5], frame[6]]));
         let at = turn * placement.position_m() + Vector3::new(frame[0], frame[1], frame[2]);
         assert!((at - Vector3::from(scene.blocks[placement.block.get()].position)).norm() < 1e-3, "{at}");
