@@ -7,7 +7,7 @@ use environment::{
 use policy::FeatureConfig;
 use policy::features::write_features;
 use policy::proposals::Proposals;
-use proto::{Action, Observation, RewardTerms, Scene, Start, Status, Task};
+use proto::{Action, Observation, Scene, Start, Status, Task};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
@@ -202,18 +202,4 @@ fn noise_beside(rng: &ChaCha8Rng) -> ChaCha8Rng {
     noise.set_stream(!rng.get_stream());
     noise.set_word_pos(0);
     noise
-}
-
-/// Result of stepping or resetting one world.
-#[derive(Clone, Debug)]
-pub(crate) struct Outcome {
-    pub(crate) reward: RewardTerms,
-    pub(crate) status: Status,
-    pub(crate) failure: Option<StartError>,
-}
-
-impl Default for Outcome {
-    fn default() -> Self {
-        Self { reward: RewardTerms::default(), status: Status::Running, failure: None }
-    }
 }

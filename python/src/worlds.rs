@@ -6,11 +6,11 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use blueprints::{BlockIdx, Inventory, N_BLOCKS};
 use environment::vec_env::generator;
 use environment::world::CONTROL_DT_S;
-use environment::{Arrangement, Env, EnvironmentConfig, World};
+use environment::{Arrangement, Env, EnvironmentConfig, StartError, StepResult, World};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods};
 use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
 use policy::{FeatureConfig, FeatureSizes};
-use proto::{Action, Pose, Scene, Status, Valid};
+use proto::{Action, Pose, RewardTerms, Scene, Status, Valid};
 use pyo3::exceptions::{PyIndexError, PyMemoryError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyAnyMethods, PyDict, PyDictMethods, PyType};
@@ -22,7 +22,7 @@ use crate::error::{message, refused};
 use crate::goals::Goals;
 use crate::picture::Stage;
 use crate::proposals::{self, N_PICKS, ProposalArrays};
-use crate::row::{Features, Outcome, Row, RowState};
+use crate::row::{Features, Row, RowState};
 use crate::settings::parsed;
 use crate::tasks::{Tasks, Wish};
 
@@ -50,13 +50,19 @@ pub(crate) struct Worlds {
     painter: Mutex<Painter>,
 }
 
+/// What a world that has just started an episode reports.
+const STARTED: StepResult = StepResult {
+    reward: RewardTerms { connected: 0.0, wrong: 0.0, magnets: 0.0, blocks: 0.0, force: 0.0 },
+    status: Status::Running,
+};
+
 /// Work on one world.
 struct Job<'a> {
     row: &'a mut Row,
     /// `None` starts an episode.
     action: Option<Action>,
     features: Features<'a>,
-    outcome: &'a mut Outcome,
+    outcome: &'a mut Result<StepResult, StartError>,
 }
 
 #[pymethods]
@@ -200,7 +206,7 @@ impl Worlds {
         let wish = Wish::new(&self.tasks, blueprint, start).map_err(refused)?;
         let mut held = hold(&features, &self.sizes, all.len())?;
         let slices = rows(&mut held, &self.sizes)?;
-        let mut outcomes = vec![Outcome::default(); all.len()];
+        let mut outcomes = vec![Ok(STARTED); all.len()];
         let parts = all.iter_mut().zip(slices).zip(&mut outcomes).zip(seeds).zip(mask);
         let jobs = parts.filter(|(_, masked)| **masked).map(|((((row, features), outcome), seed), _)| {
             if let Some(seed) = seed {
@@ -209,7 +215,7 @@ impl Worlds {
             Job { row, action: None, features, outcome }
         });
         self.work(py, jobs.collect(), &wish);
-        first_failure(&outcomes)
+        outcomes.into_iter().try_for_each(|outcome| outcome.map(drop)).map_err(refused)
     }
 
     /// Starts an episode in the worlds of `resets`, advances all others by one step, and writes all features.
@@ -232,7 +238,7 @@ impl Worlds {
         }
         let mut held = hold(&features, &self.sizes, n)?;
         let slices = rows(&mut held, &self.sizes)?;
-        let mut outcomes = vec![Outcome::default(); n];
+        let mut outcomes = vec![Ok(STARTED); n];
         let parts = all.iter_mut().zip(slices).zip(&mut outcomes).zip(actions).zip(resets);
         let jobs = parts.map(|((((row, features), outcome), action), reset)| Job {
             row,
@@ -241,14 +247,14 @@ impl Worlds {
             outcome,
         });
         self.work(py, jobs.collect(), &Wish::default());
-        first_failure(&outcomes)?;
-        let rewards: Vec<f64> = outcomes.iter().map(|outcome| f64::from(outcome.reward.total())).collect();
-        let statuses: Vec<u8> = outcomes.iter().map(|outcome| code(outcome.status)).collect();
-        let terms = |outcome: &Outcome| {
-            let terms = &outcome.reward;
+        let results: Vec<StepResult> = outcomes.into_iter().collect::<Result<_, _>>().map_err(refused)?;
+        let rewards: Vec<f64> = results.iter().map(|result| f64::from(result.reward.total())).collect();
+        let statuses: Vec<u8> = results.iter().map(|result| code(result.status)).collect();
+        let terms = |result: &StepResult| {
+            let terms = &result.reward;
             [terms.connected, terms.wrong, terms.magnets, terms.blocks, terms.force]
         };
-        let terms: Vec<f32> = outcomes.iter().flat_map(terms).collect();
+        let terms: Vec<f32> = results.iter().flat_map(terms).collect();
         Ok((rewards.into_pyarray(py), statuses.into_pyarray(py), terms.into_pyarray(py).reshape([n, 5])?))
     }
 
@@ -409,13 +415,10 @@ impl Worlds {
 
     fn work(&self, py: Python<'_>, jobs: Vec<Job<'_>>, wish: &Wish) {
         let work = |Job { row, action, features, outcome }: Job<'_>| {
-            match action {
-                Some(action) => {
-                    let result = row.step(&action);
-                    (outcome.reward, outcome.status) = (result.reward, result.status);
-                }
-                None => outcome.failure = row.begin(&self.tasks, wish).err(),
-            }
+            *outcome = match action {
+                Some(action) => Ok(row.step(&action)),
+                None => row.begin(&self.tasks, wish).map(|()| STARTED),
+            };
             row.observe(&self.features, features);
         };
         py.detach(|| share(self.n_threads, jobs, work));
@@ -442,10 +445,6 @@ fn masked<'a>(mask: &'a PyReadonlyArray1<'_, bool>, n: usize) -> PyResult<&'a [b
         return Err(PyValueError::new_err(format!("a mask has {} entries for {n} worlds", mask.len())));
     }
     Ok(mask.as_slice()?)
-}
-
-fn first_failure(outcomes: &[Outcome]) -> PyResult<()> {
-    outcomes.iter().find_map(|outcome| outcome.failure.as_ref()).map_or(Ok(()), |failure| Err(refused(failure)))
 }
 
 /// Returns the block that each gripper held in the last step, −1 for none.
