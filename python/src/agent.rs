@@ -221,9 +221,6 @@ impl Actor {
 }
 
 /// Returns the proposals of `n` worlds.
-///
-/// # Errors
-/// Returns an error if there are no worlds, or not as many.
 fn proposals_of(py: Python<'_>, worlds: Option<&Bound<'_, Worlds>>, n: usize) -> PyResult<Vec<Proposals>> {
     let Some(worlds) = worlds else {
         return Err(PyValueError::new_err(

@@ -23,9 +23,6 @@ pub(crate) fn lengths(sizes: &FeatureSizes) -> [usize; 3] {
 }
 
 /// Borrows the arrays for the features of `n` worlds: three arrays, or one with all features of a world in a row.
-///
-/// # Errors
-/// Returns an error for any other number of arrays, or if one of them is not writable or has the wrong size.
 pub(crate) fn hold<'py>(
     arrays: &[Bound<'py, PyArrayDyn<f32>>],
     sizes: &FeatureSizes,
@@ -48,9 +45,6 @@ pub(crate) fn hold<'py>(
 }
 
 /// Splits the arrays returned by [`hold`] into rows.
-///
-/// # Errors
-/// Returns an error if one of the arrays is not contiguous.
 pub(crate) fn rows<'a>(
     held: &'a mut [PyReadwriteArrayDyn<'_, f32>],
     sizes: &FeatureSizes,
@@ -76,9 +70,6 @@ pub(crate) fn rows<'a>(
 }
 
 /// Converts arrays to actions.
-///
-/// # Errors
-/// Returns an error if a shape does not fit `n` worlds or a number is not a valid block.
 pub(crate) fn actions(
     choices: &PyReadonlyArray2<'_, i64>,
     moves: &PyReadonlyArray3<'_, f32>,

@@ -27,16 +27,13 @@ pub(crate) struct Goals {
 /// Why a list of goals is rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum GoalError {
-    /// The list is empty.
     #[error("blueprint is an empty list: expected at least one")]
     Empty,
-    /// Neither a file nor anything in the catalog.
     #[error(
         "blueprint {0:?} is unknown: expected an id such as 4_000, a split ({splits}), or the path of a TOML file or folder",
         splits = Split::ALL.map(|split| split.to_string()).join(", ")
     )]
     Unknown(String),
-    /// Not an id, where a single blueprint is expected.
     #[error(
         "blueprint {0:?} is unknown: expected one id, such as 4_000, of the catalog or of a file among the environment's \
          blueprints"
@@ -48,16 +45,12 @@ pub(crate) enum GoalError {
     /// Two different blueprints with one id, of which only the last could be played.
     #[error("two different blueprints are called {0}: give one of the two another `id`")]
     Repeated(BlueprintId),
-    /// A file is not a valid blueprint.
     #[error("blueprint")]
     File(#[from] CatalogError),
 }
 
 impl Goals {
     /// Resolves `names`: ids of the catalog, splits, paths of files or folders, and texts of files.
-    ///
-    /// # Errors
-    /// Returns an error if no goals result, a name is unknown, two goals share an id, or one goal replaces another.
     pub(crate) fn new(names: &[String]) -> Result<Self, GoalError> {
         let mut catalog = Catalog::builtin().as_ref().clone();
         let mut ids = Vec::new();
@@ -118,9 +111,6 @@ fn known(catalog: &Catalog, name: &str) -> Option<BlueprintId> {
 }
 
 /// Parses an id where a single blueprint is expected.
-///
-/// # Errors
-/// Returns an error if that blueprint does not exist.
 pub(crate) fn known_id(catalog: &Catalog, name: &str) -> Result<BlueprintId, GoalError> {
     known(catalog, name).ok_or_else(|| GoalError::UnknownId(name.to_owned()))
 }

@@ -41,18 +41,14 @@ pub(crate) enum HistoryError {
     /// It is not one that [`History::state`] returned.
     #[error("the pickle is damaged")]
     Damaged,
-    /// An episode cannot start.
     #[error("an episode cannot start")]
     Reset(#[from] ResetError),
-    /// A scene cannot be set.
     #[error("a scene cannot be set")]
     Scene(#[from] ArrangementError),
-    /// The replay ends elsewhere.
     #[error(
         "it comes out differently here; pickles are for the same version of the package on the same kind of machine"
     )]
     Different,
-    /// Too much has happened.
     #[error("it has gone on for more than {MAX_EVENTS} steps since it last began with a start other than as-it-is")]
     Lost,
 }
@@ -100,9 +96,6 @@ impl History {
     }
 
     /// Returns the episodes as plain values.
-    ///
-    /// # Errors
-    /// Returns an error if there were too many events.
     pub(crate) fn state(&self) -> Result<Vec<EpisodeState>, HistoryError> {
         if self.is_lost {
             return Err(HistoryError::Lost);

@@ -68,9 +68,6 @@ pub(crate) fn offered(row: &mut Row, is_masked: bool) -> [bool; N_PICKS] {
 }
 
 /// Converts an array to picks.
-///
-/// # Errors
-/// Returns an error if the shape does not fit `n` worlds or a number is not a valid pick.
 pub(crate) fn picks(
     picks: &PyReadonlyArray2<'_, i64>,
     n: usize,

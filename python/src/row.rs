@@ -128,9 +128,6 @@ impl Row {
     }
 
     /// Returns what [`restore`](Self::restore) needs.
-    ///
-    /// # Errors
-    /// Returns an error if too much has happened since the last fresh start.
     pub(crate) fn state(&self) -> Result<RowState, HistoryError> {
         let (seed, stream, position) = (self.rng.get_seed(), self.rng.get_stream(), self.rng.get_word_pos());
         let episodes = self.history.state()?;
@@ -139,9 +136,6 @@ impl Row {
     }
 
     /// Brings a new world to a state by replaying its episodes.
-    ///
-    /// # Errors
-    /// Returns an error if the state is damaged or the replay does not lead to it.
     pub(crate) fn restore(&mut self, tasks: &Tasks, state: RowState) -> Result<(), HistoryError> {
         let (seed, stream, position, episodes, last, noise) = state;
         let seed: [u8; 32] = seed.try_into().map_err(|_| HistoryError::Damaged)?;

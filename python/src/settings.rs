@@ -13,9 +13,6 @@ use crate::error::refused;
 const PROBES: [f64; 4] = [-1.0, 0.0, 255.0, 1e30];
 
 /// Parses and checks a section; `name` is the argument that it came from.
-///
-/// # Errors
-/// Returns a `ValueError` if a key is unknown or a value is invalid.
 pub(crate) fn parsed<T: DeserializeOwned + Section>(name: &str, text: &str) -> PyResult<T> {
     let config = match serde_json::from_str::<T>(text) {
         Ok(config) => config,

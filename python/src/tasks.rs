@@ -44,31 +44,23 @@ enum StartRule {
 /// Why start rules are rejected.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StartsError {
-    /// The text is not a start rule.
     #[error(
         "start {0:?} is unknown: expected scattered, prebuilt, prebuilt:ID, near-goal, near-goal:N, near-goal:M-N \
          (1 to 15 blocks), or as-it-is"
     )]
     Unknown(String),
-    /// The blueprint of an episode is unknown.
     #[error(transparent)]
     Blueprint(#[from] GoalError),
-    /// The blueprint of a start is unknown.
     #[error("start {0:?}")]
     Prebuilt(String, #[source] Box<GoalError>),
-    /// The weight is invalid.
     #[error("the weight of start {start:?} is {weight}: expected a finite number that is not negative")]
     Weight { start: String, weight: f64 },
-    /// No rule can be drawn.
     #[error("starts has no positive weight: expected at least one")]
     Empty,
 }
 
 impl StartRule {
     /// Parses a start rule, with blueprints of the catalog or the generator.
-    ///
-    /// # Errors
-    /// Returns an error if the rule or its blueprint is unknown.
     fn parse(text: &str, catalog: &Catalog) -> Result<Self, StartsError> {
         let unknown = || StartsError::Unknown(text.to_owned());
         let (kind, detail) = text.split_once(':').map_or((text, None), |(kind, detail)| (kind, Some(detail)));
@@ -95,9 +87,6 @@ impl StartRule {
 
 impl Wish {
     /// Creates a wish for an episode with this goal and this start; `None` leaves the choice to chance.
-    ///
-    /// # Errors
-    /// Returns an error if the goal or the start is unknown.
     pub(crate) fn new(tasks: &Tasks, goal: Option<&str>, start: Option<&str>) -> Result<Self, StartsError> {
         let catalog = &tasks.goals.catalog;
         let goal = goal.map(|name| known_id(catalog, name)).transpose()?;
@@ -113,9 +102,6 @@ impl Wish {
 
 impl Tasks {
     /// Creates a distribution with equally likely goals and weighted starts.
-    ///
-    /// # Errors
-    /// Returns an error if a start is unknown, a weight is invalid, or no weight is positive.
     pub(crate) fn new(goals: Goals, starts: &[(String, f64)], shuffle_blocks: bool) -> Result<Self, StartsError> {
         let mut rules = Vec::new();
         for (start, weight) in starts {

@@ -34,9 +34,6 @@ impl Shared {
     }
 
     /// Returns a copy of the assembly to query; `placements` are the blueprint's, in any order.
-    ///
-    /// # Errors
-    /// If the blueprint has no assembly order.
     pub(crate) fn assembly(&self, placements: &[Placement]) -> Result<Assembly, NoAssembly> {
         let search = || Assembly::of_placements(&self.ordered(placements));
         match self.computed.get_or_init(|| search().ok()) {
