@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use blueprints::{Blueprint, BlueprintId, Catalog, Split};
 use environment::sample_assignment;
+use environment::vec_env::draw_weighted;
 use proto::{Start, Task, settings};
 use rand::RngExt;
 use rand::seq::IndexedRandom;
@@ -123,23 +124,11 @@ impl TaskSampler {
 
     /// Draws the next task.
     pub fn sample(&self, rng: &mut ChaCha8Rng) -> Task {
-        let blueprint = self.draw_goal(rng);
+        let blueprint = draw_weighted(&self.goals, rng);
         // Equal blocks are shuffled in every episode, because the policy sees slot numbers.
         let assignment = sample_assignment(rng);
         let start = self.draw_start(blueprint, rng);
         Task { blueprint: blueprint.clone(), assignment, start, seed: rng.random() }
-    }
-
-    fn draw_goal(&self, rng: &mut ChaCha8Rng) -> &BlueprintId {
-        let total: f64 = self.goals.iter().map(|(_, probability)| probability).sum();
-        let mut rest = rng.random::<f64>() * total;
-        let drawn = self.goals.iter().find(|(_, probability)| {
-            rest -= probability;
-            rest < 0.0
-        });
-        // Rounding may leave a remainder of about 0 after the last goal with a positive probability.
-        let last = self.goals.iter().rev().find(|(_, probability)| *probability > 0.0);
-        &drawn.or(last).expect("a sampler has at least one goal with a positive probability").0
     }
 
     fn draw_start(&self, goal: &BlueprintId, rng: &mut ChaCha8Rng) -> Start {

@@ -2,7 +2,7 @@
 
 use blueprints::Catalog;
 use proto::{ActionMode, Agent, Decision, Observation, Status, Task, Transition};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::env::{Env, ResetError, StartError, StepResult};
@@ -22,6 +22,22 @@ pub fn generator(seed: u64, stream: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(stream);
     rng
+}
+
+/// Draws an item with its weight; the weights are not negative.
+///
+/// # Panics
+/// If no weight is positive.
+pub fn draw_weighted<'a, T>(items: &'a [(T, f64)], rng: &mut ChaCha8Rng) -> &'a T {
+    let total: f64 = items.iter().map(|(_, weight)| weight).sum();
+    let mut rest = rng.random::<f64>() * total;
+    let drawn = items.iter().find(|(_, weight)| {
+        rest -= weight;
+        rest < 0.0
+    });
+    // Rounding may leave a rest of about 0 after the last item with a positive weight.
+    let last = items.iter().rev().find(|(_, weight)| *weight > 0.0);
+    &drawn.or(last).expect("an item has a positive weight").0
 }
 
 impl<E: Env> VecEnv<E> {

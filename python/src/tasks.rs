@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog, N_BLOCKS, Split};
 use environment::sample_assignment;
+use environment::vec_env::draw_weighted;
 use proto::{Start, Task};
 use rand::RngExt;
 use rand::seq::IndexedRandom;
@@ -123,7 +124,7 @@ impl Tasks {
         let ids = &self.goals.ids;
         let blueprint = wish.goal.as_ref().unwrap_or_else(|| &ids[rng.random_range(0..ids.len())]).clone();
         let assignment = if self.shuffle_blocks { sample_assignment(rng) } else { BlockIdx::array(|block| block) };
-        let start = wish.start.as_ref().unwrap_or_else(|| self.draw_rule(rng));
+        let start = wish.start.as_ref().unwrap_or_else(|| draw_weighted(&self.starts, rng));
         let start = match start {
             StartRule::Scattered => Start::Scattered,
             StartRule::AsItIs => Start::AsItIs,
@@ -140,17 +141,5 @@ impl Tasks {
             }
         };
         Task { blueprint, assignment, start, seed: rng.random() }
-    }
-
-    fn draw_rule(&self, rng: &mut ChaCha8Rng) -> &StartRule {
-        let total: f64 = self.starts.iter().map(|(_, weight)| weight).sum();
-        let mut rest = rng.random::<f64>() * total;
-        let drawn = self.starts.iter().find(|(_, weight)| {
-            rest -= weight;
-            rest < 0.0
-        });
-        // Due to rounding, the rest may stay near 0 after the last start that has a weight.
-        let last = self.starts.iter().rev().find(|(_, weight)| *weight > 0.0);
-        &drawn.or(last).expect("a start has a positive weight").0
     }
 }
