@@ -1,5 +1,6 @@
 //! The state of a world after a step: plain data for features, rewards, replays, and videos.
 
+use blueprints::pieces::pieces;
 use blueprints::{BlockIdx, Blueprint, N_BLOCKS, RelativePlacement};
 use serde::{Deserialize, Serialize};
 
@@ -91,11 +92,8 @@ impl Scene {
     }
 
     fn components(&self, counts: impl Fn(&Joint) -> bool) -> [usize; N_BLOCKS] {
-        let mut components: [usize; N_BLOCKS] = std::array::from_fn(|i| i);
-        for joint in self.joints.iter().filter(|joint| counts(joint)) {
-            let [a, b] = [joint.a, joint.b].map(|block| components[block.get()]);
-            components.iter_mut().filter(|name| **name == a.max(b)).for_each(|name| *name = a.min(b));
-        }
-        components
+        let joints = self.joints.iter().filter(|joint| counts(joint));
+        let components = pieces(N_BLOCKS, joints.map(|joint| (joint.a.get(), joint.b.get())));
+        components.try_into().expect("one for each block")
     }
 }

@@ -32,23 +32,17 @@ impl View {
         for (part, block) in blocks.iter().enumerate() {
             part_of[block.get()] = Some(part);
         }
-        let mut pieces: Vec<Parts> = (0..blocks.len()).map(Parts::one).collect();
-        let mut wrong = Vec::new();
-        for joint in &scene.joints {
-            match (part_of[joint.a.get()], part_of[joint.b.get()]) {
-                (Some(a), Some(b)) if joint.is_right(blueprint) => {
-                    let joined = pieces[a].union(pieces[b]);
-                    joined.iter().for_each(|part| pieces[part] = joined);
-                }
-                _ => wrong.push(*joint),
-            }
-        }
+        let names = scene.pieces(blueprint);
+        let piece_of = |block: &BlockIdx| {
+            let is_joined = |part: &usize| names[blocks[*part].get()] == names[block.get()];
+            (0..blocks.len()).filter(is_joined).fold(Parts::default(), Parts::with)
+        };
         Self {
             poses,
             half_extents,
             part_of,
-            pieces,
-            wrong,
+            pieces: blocks.iter().map(piece_of).collect(),
+            wrong: scene.joints.iter().filter(|joint| !joint.is_right(blueprint)).copied().collect(),
             joints: scene.joints.clone(),
             held: scene.grippers.map(|gripper| gripper.and_then(|g| g.held)),
             bodies: scene.bodies(),
