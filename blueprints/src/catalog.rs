@@ -33,7 +33,6 @@ pub const MAX_FILE_BYTES: u64 = 1 << 20;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Catalog {
     blueprints: Vec<Blueprint>,
-    positions: BTreeMap<BlueprintId, usize>,
     /// Outline hashes of the held-out blueprints.
     held_out: BTreeSet<u64>,
 }
@@ -141,14 +140,13 @@ impl Catalog {
     /// Sorts by split, size, and id. Size comes before id because 12_000 sorts before 2_000 as text.
     fn new(mut blueprints: Vec<Blueprint>) -> Self {
         blueprints.sort_by_cached_key(|b| (b.split(), b.n_blocks(), b.id().clone()));
-        let positions = blueprints.iter().enumerate().map(|(i, b)| (b.id().clone(), i)).collect();
         let held_out = blueprints.iter().filter(|b| b.split() != Split::Train).map(Blueprint::outline_hash).collect();
-        Self { blueprints, positions, held_out }
+        Self { blueprints, held_out }
     }
 
     /// Returns the blueprint with that id.
     pub fn get(&self, id: &BlueprintId) -> Option<&Blueprint> {
-        self.positions.get(id).map(|&i| &self.blueprints[i])
+        self.iter().find(|blueprint| blueprint.id() == id)
     }
 
     /// Returns the blueprint with the id of this one, if it is another structure. Two names for one structure do no
