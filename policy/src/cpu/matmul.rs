@@ -69,7 +69,7 @@ impl Packed {
 /// a `[m, k]`, w `[k, n]`, c `[m, n]`
 pub(super) fn product(arch: Arch, a: &[f32], w: &Packed, base: Base<'_>, relu: bool, c: &mut [f32]) {
     debug_assert_eq!(a.len() / w.k.max(1), c.len() / w.n.max(1));
-    arch.dispatch(Product { a, w, base, relu, c });
+    arch.dispatch(Product { a, k: w.k, n: w.n, panels: &w.data, width: PANEL, base, relu, c });
 }
 
 /// Computes `a · w`.
@@ -109,7 +109,11 @@ pub(super) fn add_transposed(arch: Arch, a: &[f32], m: usize, b: &[f32], n: usiz
 
 struct Product<'a> {
     a: &'a [f32],
-    w: &'a Packed,
+    k: usize,
+    n: usize,
+    panels: &'a [f32],
+    /// Columns of a panel; the last may have fewer.
+    width: usize,
     base: Base<'a>,
     relu: bool,
     c: &'a mut [f32],
@@ -120,12 +124,11 @@ impl WithSimd for Product<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { a, w, base, relu, c } = self;
+        let Self { a, k, n, panels, width, base, relu, c } = self;
         let mut first = 0;
-        for panel in w.data.chunks(w.k * PANEL) {
-            let width = panel.len() / w.k;
-            let block = Block { k: w.k, panel, width, first, n: w.n, base, relu };
-            block.run(simd, a, c);
+        for panel in panels.chunks(k * width) {
+            let width = panel.len() / k;
+            Block { k, panel, width, first, n, base, relu }.run(simd, a, c);
             first += width;
         }
     }
@@ -152,7 +155,7 @@ struct Block<'a> {
 #[inline(always)]
 pub(super) fn small_product<S: Simd>(simd: S, a: &[f32], b: &[f32], k: usize, base: Base<'_>, c: &mut [f32]) {
     let n = b.len() / k;
-    simd.vectorize(SmallProduct { a, block: Block { k, panel: b, width: n, first: 0, n, base, relu: false }, c });
+    simd.vectorize(Product { a, k, n, panels: b, width: n, base, relu: false, c });
 }
 
 /// Computes `c += aᵀ · b` inside a dispatched operation.
@@ -162,21 +165,6 @@ pub(super) fn small_product<S: Simd>(simd: S, a: &[f32], b: &[f32], k: usize, ba
 #[inline(always)]
 pub(super) fn small_add_transposed<S: Simd>(simd: S, a: &[f32], m: usize, b: &[f32], n: usize, c: &mut [f32]) {
     simd.vectorize(AddTransposed { a, m, b, n, c });
-}
-
-struct SmallProduct<'a> {
-    a: &'a [f32],
-    block: Block<'a>,
-    c: &'a mut [f32],
-}
-
-impl WithSimd for SmallProduct<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        self.block.run(simd, self.a, self.c);
-    }
 }
 
 impl Block<'_> {
