@@ -1,7 +1,7 @@
 //! Attention over 16 nodes and the edges between them, forward and backward, one graph at a time.
 
 use blueprints::N_BLOCKS as N;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::matmul::{Base, small_add_transposed, small_product};
 use super::ops::{softmax, softmax_backward};
@@ -24,35 +24,20 @@ pub(super) struct Graphs<'a> {
 }
 
 /// Writes the weights `[rows, H, 16]` and the weighted means of senders and edges, `[rows, H, n]` and `[rows, H, ed]`.
-pub(super) fn attend(arch: Arch, graphs: Graphs<'_>, weights: &mut [f32], means: [&mut [f32]; 2]) {
-    arch.dispatch(Attend { graphs, weights, means });
+pub(super) struct Attend<'a> {
+    pub(super) graphs: Graphs<'a>,
+    pub(super) weights: &'a mut [f32],
+    pub(super) means: [&'a mut [f32]; 2],
 }
 
 /// Computes the gradients of the compared vectors from those of the means. If `nodes` is given, adds the part of the
 /// senders' gradient that flows through this layer's attention, `[rows, n]`.
-pub(super) fn attend_backward(
-    arch: Arch,
-    graphs: Graphs<'_>,
-    weights: &[f32],
-    means: [&[f32]; 2],
-    compare: [&mut [f32]; 2],
-    nodes: Option<&mut [f32]>,
-) {
-    arch.dispatch(AttendBackward { graphs, weights, means, compare, nodes });
-}
-
-struct Attend<'a> {
-    graphs: Graphs<'a>,
-    weights: &'a mut [f32],
-    means: [&'a mut [f32]; 2],
-}
-
-struct AttendBackward<'a> {
-    graphs: Graphs<'a>,
-    weights: &'a [f32],
-    means: [&'a [f32]; 2],
-    compare: [&'a mut [f32]; 2],
-    nodes: Option<&'a mut [f32]>,
+pub(super) struct AttendBackward<'a> {
+    pub(super) graphs: Graphs<'a>,
+    pub(super) weights: &'a [f32],
+    pub(super) means: [&'a [f32]; 2],
+    pub(super) compare: [&'a mut [f32]; 2],
+    pub(super) nodes: Option<&'a mut [f32]>,
 }
 
 impl WithSimd for Attend<'_> {

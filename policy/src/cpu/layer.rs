@@ -1,7 +1,7 @@
 //! One layer of the encoder: attention, node MLP, and global MLP.
 
 use super::activations::{Activations, LayerActivations};
-use super::attend::{Graphs, attend, attend_backward};
+use super::attend::{Attend, AttendBackward, Graphs};
 use super::fold::{Fold, Matrices};
 use super::matmul::{Base, Packed, add_transposed, product};
 use super::ops::{add_rows, add_to_nodes, layer_norm, layer_norm_backward, relu_backward, sum_nodes};
@@ -92,7 +92,7 @@ impl Layer {
         product(arch, before.input, &forward.to_node, Base::Zero, false, &mut y.compare_nodes);
         product(arch, before.input, &forward.to_edge, Base::Zero, false, &mut y.compare_edges);
         let graphs = before.graphs(shape, fold.n_in, [&y.compare_nodes, &y.compare_edges]);
-        attend(arch, graphs, &mut y.weights, [&mut y.mean_nodes, &mut y.mean_edges]);
+        arch.dispatch(Attend { graphs, weights: &mut y.weights, means: [&mut y.mean_nodes, &mut y.mean_edges] });
         let mut residual = vec![0.0; rows * w];
         product(arch, &y.mean_nodes, &forward.from_nodes, Base::Bias(&fold.matrices.constant), false, &mut residual);
         product(arch, &y.mean_edges, &forward.from_edges, Base::Kept, false, &mut residual);
@@ -187,12 +187,16 @@ impl Layer {
             product(arch, nodes, kernel, Base::Zero, false, &mut means[part]);
         }
         let graphs = before.graphs(shape, n_in, [&y.compare_nodes, &y.compare_edges]);
-        let [mean_nodes, mean_edges] = means;
         let [of_nodes, of_edges] = compare;
         // Raw features have no gradient.
         let is_raw = self.fold.is_raw;
-        let senders = (!is_raw).then_some(&mut nodes[..]);
-        attend_backward(arch, graphs, &y.weights, [mean_nodes, mean_edges], [of_nodes, of_edges], senders);
+        arch.dispatch(AttendBackward {
+            graphs,
+            weights: &y.weights,
+            means: means.each_ref().map(Vec::as_slice),
+            compare: [of_nodes, of_edges],
+            nodes: (!is_raw).then_some(&mut nodes[..]),
+        });
         add_transposed(arch, before.input, n_in, of_nodes, heads * n_in, &mut folded.to_node);
         add_transposed(arch, before.input, n_in, of_edges, heads * ed, &mut folded.to_edge);
         if !is_raw {
