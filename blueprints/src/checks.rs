@@ -18,9 +18,7 @@ use crate::infer::{self, Completed};
 use crate::pieces::pieces;
 use crate::stance::{MIN_SUPPORT_MARGIN_U, support_margin_u};
 use crate::strength::{Joint, overloaded};
-use crate::{
-    Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement, Split,
-};
+use crate::{Assembly, BlockIdx, Blueprint, BlueprintId, Inventory, Link, NoAssembly, Placement, RelativePlacement};
 pub use unique::check_all;
 
 /// A check of one file; variants are in running order.
@@ -244,20 +242,6 @@ fn first_good(
     let chosen = completions.into_iter().nth(at)?;
     let placements = place(&chosen);
     Some((chosen, placements))
-}
-
-/// Runs the file checks on placements whose lowest corner is at the origin and which use the blocks of each type in
-/// order; all magnet pairs that meet are connections.
-pub fn check_placements(
-    id: BlueprintId,
-    split: Split,
-    title: String,
-    placements: &[Placement],
-) -> Result<Blueprint, BlueprintError> {
-    let draft = Draft::of_placements(id, split, title, placements);
-    let structure = Structure::new(&draft, placements);
-    structure.check()?;
-    Ok(structure.blueprint())
 }
 
 #[derive(Default)]

@@ -137,19 +137,6 @@ impl Draft {
         Ok(Self { id, split, title, up, provenance: raw.provenance, blocks, pairs })
     }
 
-    /// Creates a drawing of placed blocks without connections; block names are numbers.
-    pub(crate) fn of_placements(id: BlueprintId, split: Split, title: String, placements: &[Placement]) -> Self {
-        let draw = |p: &Placement| DraftBlock {
-            name: p.block.get().to_string(),
-            type_name: Inventory::standard().block_type(p.block).name.to_owned(),
-            at: p.lowest_cell(),
-            turn: Some(p.rotation),
-            size: None,
-        };
-        let blocks = placements.iter().map(draw).collect();
-        Self { id, split, title, up: [0, 0, 1], provenance: None, blocks, pairs: None }
-    }
-
     /// Assigns an inventory block to each block of the file: the k-th of a type gets the k-th in the inventory.
     pub(crate) fn assign(&self) -> Result<Vec<BlockIdx>, BlueprintError> {
         let inventory = Inventory::standard();

@@ -16,10 +16,10 @@ mod tiling;
 
 use std::collections::BTreeSet;
 
-use blueprints::checks::check_placements;
+use blueprints::checks::check_text;
 use blueprints::error::BlueprintError;
 use blueprints::placement::extent_u;
-use blueprints::{Blueprint, BlueprintId, Split};
+use blueprints::{Blueprint, BlueprintId, Inventory, Placement};
 use clap::ValueEnum;
 use dice::Dice;
 pub(crate) use style::Style;
@@ -142,7 +142,7 @@ impl Request {
 
 /// Generates one structure. It passes all file checks and has an assembly order.
 ///
-/// Equal requests give equal blueprints on every machine. The split is [`Split::Train`].
+/// Equal requests give equal blueprints on every machine. Their split is that of training.
 ///
 /// # Errors
 /// [`GenerateError::Size`] and [`GenerateError::Index`] for a request outside the range, and
@@ -151,9 +151,15 @@ pub(crate) fn generate(request: &Request) -> Result<Blueprint, GenerateError> {
     let id = request.id()?;
     let found = search::search(request.style, request.n_blocks, &mut request.dice())
         .map_err(|n_draws| GenerateError::Exhausted { id: id.clone(), n_draws })?;
-    let title = title(&found, request.style);
-    check_placements(id.clone(), Split::Train, title, &found.placements)
-        .map_err(|error| GenerateError::Unsound { id, error })
+    let block = |placement: &Placement| {
+        let type_name = Inventory::standard().block_type(placement.block).name;
+        let (at, axes) = (placement.filled_cells()[0], placement.rotation.axes());
+        format!("    {{ type = \"{type_name}\", at = {at:?}, axes = \"{axes}\" }},\n")
+    };
+    let blocks: String = found.placements.iter().map(block).collect();
+    let text = format!("id = \"{id}\"\ntitle = {:?}\nblocks = [\n{blocks}]\n", title(&found, request.style));
+    let checked = check_text(&format!("{id}.toml"), &text).blueprint;
+    checked.map_err(|error| GenerateError::Unsound { id, error: error.error })
 }
 
 /// Generates `count` structures that differ from each other as much as possible, by increasing index.

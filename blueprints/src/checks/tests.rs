@@ -7,8 +7,12 @@ use crate::assembly::tests::jack;
 fn assembly_error_names_the_unplaced_blocks() {
     // No file can isolate this failure: a structure that cannot be assembled is also too weak for its magnets.
     let placements = jack();
-    let id: BlueprintId = "7_999".parse().unwrap();
-    let draft = Draft::of_placements(id, Split::Train, "jack".to_owned(), &placements);
+    let line = |p: &Placement| {
+        let type_name = Inventory::standard().block_type(p.block).name;
+        format!("{{ type = {type_name:?}, at = {:?}, axes = {:?} }},", p.lowest_cell(), p.rotation.axes())
+    };
+    let lines: String = placements.iter().map(line).collect();
+    let draft = Draft::parse("jack.toml", &format!("blocks = [{lines}]")).unwrap();
     let error = Structure::new(&draft, &placements).assembly().unwrap_err();
     let BlueprintError::NoAssembly { blocks, gave_up: false } = &error else { panic!("{error}") };
     assert!(!blocks.is_empty() && blocks.iter().all(|name| draft.blocks.iter().any(|b| b.name == *name)), "{error}");
