@@ -5,6 +5,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use serde::{Deserialize, Serialize};
+
 use crate::checks::{Check, Structure, check_text};
 use crate::error::BlueprintError;
 use crate::format::{Draft, DraftBlock, MAX_COORDINATE};
@@ -21,21 +23,25 @@ pub const MAX_TITLE: usize = 80;
 /// Title of a drawing without one.
 const UNTITLED: &str = "a drawing";
 
-/// A block of a drawing.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A block of a drawing, with the fields that it has in a file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DrawnBlock {
     /// Name of its type in the inventory.
+    #[serde(rename = "type")]
     pub type_name: String,
     /// The lowest-numbered corner cell that it fills.
     pub at: [i32; 3],
-    /// Its rotation.
-    pub rotation: CubeRotation,
+    /// Directions of its own x and y axes, for example `+x +y`.
+    pub axes: String,
     /// Whether the block may take any rotation that fills the same cells.
+    #[serde(default)]
     pub is_free: bool,
 }
 
 /// Blocks on the lattice.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Drawing {
     /// A short description of the structure.
     pub title: String,
@@ -44,7 +50,7 @@ pub struct Drawing {
 }
 
 /// Something that keeps a drawing from being a blueprint.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
     /// The check that fails.
     pub check: Check,
@@ -55,7 +61,7 @@ pub struct Problem {
 }
 
 /// Two blocks of a drawing, by index, that hold each other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Connection {
     /// The lower index.
     pub a: usize,
@@ -78,17 +84,16 @@ pub struct Findings {
 }
 
 impl DrawnBlock {
-    /// Creates a block from its fields in a file; `axes` are the directions of the block's x and y axes, for example
-    /// `+x +y`.
-    ///
-    /// # Errors
-    /// If the axes do not form a rotation, or the cell is out of range.
-    pub fn new(type_name: &str, at: [i32; 3], axes: &str, is_free: bool) -> Result<Self, BlueprintError> {
+    /// Returns the block as a file would give it.
+    fn placed(&self, name: String) -> Result<DraftBlock, BlueprintError> {
+        let (type_name, at, axes) = (self.type_name.clone(), self.at, self.axes.clone());
         if at.iter().any(|x| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(x)) {
-            return Err(BlueprintError::out_of_range(type_name, at.map(i64::from)));
+            return Err(BlueprintError::out_of_range(&type_name, at.map(i64::from)));
         }
-        let rotation = CubeRotation::from_axes(axes).ok_or_else(|| BlueprintError::bad_axes(type_name, axes))?;
-        Ok(Self { type_name: type_name.to_owned(), at, rotation, is_free })
+        match CubeRotation::from_axes(&axes) {
+            Some(rotation) => Ok(DraftBlock { name, type_name, at, turn: Some(rotation), size: None }),
+            None => Err(BlueprintError::bad_axes(&type_name, &axes)),
+        }
     }
 }
 
@@ -102,7 +107,7 @@ impl Drawing {
         let block = |placement: &Placement| DrawnBlock {
             type_name: Inventory::standard().block_type(placement.block).name.to_owned(),
             at: placement.lowest_cell(),
-            rotation: placement.rotation,
+            axes: placement.rotation.axes(),
             is_free: false,
         };
         let blocks = blueprint.placements().iter().map(block).collect();
@@ -113,7 +118,8 @@ impl Drawing {
     /// possible. If no blocks repel each other, all stay as they are.
     ///
     /// # Errors
-    /// If the inventory lacks a type or has too few blocks of it.
+    /// If a block's axes do not form a rotation, its cell is out of range, or the inventory lacks its type or has too few
+    /// blocks of it.
     pub fn turn_free_blocks(&mut self) -> Result<(), BlueprintError> {
         let (mut draft, placements) = self.placed()?;
         if Structure::new(&draft, &placements).repelling.is_empty() {
@@ -123,7 +129,7 @@ impl Drawing {
             block.turn = block.turn.filter(|_| !drawn.is_free);
         }
         for (block, rotation) in self.blocks.iter_mut().zip(turns(&draft, &placements)?) {
-            block.rotation = rotation;
+            block.axes = rotation.axes();
         }
         Ok(())
     }
@@ -131,7 +137,7 @@ impl Drawing {
     /// Checks the drawing as it is.
     ///
     /// # Errors
-    /// If the inventory lacks a type or has too few blocks of it.
+    /// As for [`Self::turn_free_blocks`].
     pub fn examine(&self) -> Result<Findings, BlueprintError> {
         let (draft, placements) = self.placed()?;
         let structure = Structure::new(&draft, &placements);
@@ -155,13 +161,9 @@ impl Drawing {
 
     /// Returns the drawing as a file would give it, and its blocks with the lowest corner at the origin.
     fn placed(&self) -> Result<(Draft, Vec<Placement>), BlueprintError> {
-        let block = |(i, drawn): (usize, &DrawnBlock)| DraftBlock {
-            name: self.name(i),
-            type_name: drawn.type_name.clone(),
-            at: drawn.at,
-            turn: Some(drawn.rotation),
-            size: None,
-        };
+        let blocks = self.blocks.iter().enumerate().map(|(i, drawn)| drawn.placed(self.name(i)));
+        let blocks: Vec<DraftBlock> = blocks.collect::<Result<_, _>>()?;
+        let turns: Vec<CubeRotation> = blocks.iter().filter_map(|block| block.turn).collect();
         let title: String = self.title.trim().chars().filter(|c| !c.is_control()).take(MAX_TITLE).collect();
         let draft = Draft {
             id: draft_id(self.blocks.len(), 0),
@@ -169,10 +171,9 @@ impl Drawing {
             title: if title.is_empty() { UNTITLED.to_owned() } else { title },
             up: [0, 0, 1],
             provenance: None,
-            blocks: self.blocks.iter().enumerate().map(block).collect(),
+            blocks,
             pairs: None,
         };
-        let turns: Vec<CubeRotation> = self.blocks.iter().map(|drawn| drawn.rotation).collect();
         let placements = draft.place(&draft.assign()?, &turns);
         Ok((draft, placements))
     }

@@ -7,10 +7,10 @@ use axum::extract::{Extension, RawQuery};
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
-use blueprints::drawing::{Connection, Drawing, DrawnBlock, Problem, word};
+use blueprints::drawing::{Connection, Drawing, Problem, word};
 use blueprints::{BlueprintId, Catalog, Inventory, UNIT_M};
 use render::picture::TYPE_COLORS;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::Semaphore;
 
@@ -23,37 +23,14 @@ pub(super) const MAX_BYTES: usize = 64 << 10;
 #[derive(Clone, Debug)]
 pub(super) struct OneCheck(pub(super) Arc<Semaphore>);
 
-/// A drawing as sent by the page and, with the findings, returned to it.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct DrawingView {
-    title: String,
-    blocks: Vec<BlockView>,
-}
-
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct BlockView {
-    #[serde(rename = "type")]
-    type_name: String,
-    /// The lowest-numbered corner cell that the block fills.
-    at: [i32; 3],
-    /// Directions of the block's own x and y axes.
-    axes: String,
-    /// Whether the block may be rotated into another orientation that fills the same cells.
-    #[serde(default)]
-    is_free: bool,
-}
-
-/// Results of checking a drawing.
+/// A drawing that the page sent, and the results of checking it.
 #[derive(Debug, Serialize)]
 struct Findings {
     schema_version: u32,
     #[serde(flatten)]
-    drawing: DrawingView,
-    /// Each with its `check`, its `text` and the indices of its `blocks`: empty if it concerns the whole drawing.
-    problems: Vec<Value>,
-    connections: Vec<Value>,
+    drawing: Drawing,
+    problems: Vec<Problem>,
+    connections: Vec<Connection>,
     /// Text of the blueprint file, if there are no problems and at least two blocks.
     toml: Option<String>,
 }
@@ -64,10 +41,7 @@ fn read(body: &[u8]) -> Result<Drawing, String> {
     if !text.trim_start().starts_with('{') {
         return Drawing::from_toml(text).map_err(|error| error.to_string());
     }
-    let DrawingView { title, blocks } = serde_json::from_str(text).map_err(|error| error.to_string())?;
-    let block = |view: BlockView| DrawnBlock::new(&view.type_name, view.at, &view.axes, view.is_free);
-    let blocks = blocks.into_iter().map(block).collect::<Result<_, _>>().map_err(|error| error.to_string())?;
-    Ok(Drawing { title, blocks })
+    serde_json::from_str(text).map_err(|error| error.to_string())
 }
 
 /// Parses a drawing, rotates its free blocks and checks it.
@@ -75,19 +49,11 @@ fn look(body: &[u8]) -> Result<Findings, String> {
     let mut drawing = read(body)?;
     drawing.turn_free_blocks().map_err(|error| error.to_string())?;
     let found = drawing.examine().map_err(|error| error.to_string())?;
-    let block = |block: DrawnBlock| BlockView {
-        axes: block.rotation.axes(),
-        type_name: block.type_name,
-        at: block.at,
-        is_free: block.is_free,
-    };
-    let problem = |of: Problem| json!({ "check": of.check, "blocks": of.blocks, "text": of.text });
-    let connection = |of: Connection| json!({ "a": of.a, "b": of.b, "n_magnet_pairs": of.n_magnet_pairs });
     Ok(Findings {
         schema_version: 1,
-        drawing: DrawingView { title: drawing.title, blocks: drawing.blocks.into_iter().map(block).collect() },
-        problems: found.problems.into_iter().map(problem).collect(),
-        connections: found.connections.into_iter().map(connection).collect(),
+        drawing,
+        problems: found.problems,
+        connections: found.connections,
         toml: found.blueprint.map(|blueprint| blueprint.to_toml("drawn on the page of lodestone")),
     })
 }
@@ -149,7 +115,7 @@ mod tests {
         };
         let repelled = drawn(false);
         let problem = &repelled.problems[0];
-        assert_eq!((&problem["check"], &problem["blocks"]), (&json!(Check::Polarity), &json!([0, 1])));
+        assert_eq!((problem.check, &problem.blocks[..]), (Check::Polarity, &[0, 1][..]));
         assert_eq!(repelled.toml, None);
         let turned = drawn(true);
         assert_eq!((turned.problems.len(), turned.connections.len()), (0, 1));
