@@ -14,9 +14,7 @@ pub mod web;
 
 pub use config::DashboardConfig;
 pub use run_view::{Sizes, success_rate, waits};
-pub use web::{
-    About, Builder, Farewell, Finished, FinishedRun, Kind, Order, Page, Source, Stage, StageError, WebError, export,
-};
+pub use web::{About, Builder, Farewell, Finished, Kind, Order, Page, ShownRun, Stage, StageError, WebError, export};
 
 #[cfg(test)]
 mod tests;

@@ -35,7 +35,6 @@ use proto::{Valid, Weights};
 use serde_json::Value;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
-use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::WebConfig;
@@ -67,51 +66,34 @@ pub struct Page {
     config: Valid<WebConfig>,
 }
 
-/// Data sources of a page, in addition to the bus.
+/// A run that a page shows.
 #[derive(Debug)]
-pub struct Source {
-    /// All evaluations, starting with those of the history. The page stops when the channel closes.
-    pub evaluations: mpsc::UnboundedReceiver<Evaluation>,
-    /// The newest weights. The page shows their attention.
-    pub weights: watch::Receiver<Option<Arc<Weights>>>,
-    /// Configuration of the policy that the weights belong to.
-    pub policy: Valid<PolicyConfig>,
-    /// The run whose videos are shown; `None` for no videos.
-    pub run: Option<RunPaths>,
+pub struct ShownRun {
     /// Summary of the run.
     pub about: About,
+    /// Its evaluations in order, as far as they are known.
+    pub evaluations: Vec<Evaluation>,
+    /// The learner's metrics of its updates, in order, as far as they are known.
+    pub learner: Vec<LearnerMetrics>,
+    /// Its directory, for its videos; `None` for no videos.
+    pub run: Option<RunPaths>,
+    /// Configuration of the policy that the weights belong to.
+    pub policy: Valid<PolicyConfig>,
+    /// The newest weights. The page shows their attention.
+    pub weights: watch::Receiver<Option<Arc<Weights>>>,
     /// Plays episodes on demand; `None` if the page offers none.
     pub stage: Option<Stage>,
 }
 
-/// What a page of finished runs shows.
+/// Runs that nothing adds to any longer.
 #[derive(Debug)]
 pub struct Finished {
     /// The run that is shown first.
-    pub first: FinishedRun,
+    pub first: ShownRun,
     /// The runs that can be chosen.
-    pub others: Vec<FinishedRun>,
+    pub others: Vec<ShownRun>,
     /// The table and curves of the sweep that the runs belong to, as JSON.
     pub sweep: Option<Value>,
-}
-
-/// A finished run, read from its files.
-#[derive(Debug)]
-pub struct FinishedRun {
-    /// Summary of the run.
-    pub about: About,
-    /// Its evaluations in order.
-    pub evaluations: Vec<Evaluation>,
-    /// The learner's metrics of its updates, in order.
-    pub learner: Vec<LearnerMetrics>,
-    /// Its directory, for its videos.
-    pub run: RunPaths,
-    /// Configuration of the policy.
-    pub policy: Valid<PolicyConfig>,
-    /// The newest weights, if they can be read.
-    pub weights: Option<Arc<Weights>>,
-    /// Plays episodes on demand; `None` if the page offers none.
-    pub stage: Option<Stage>,
 }
 
 impl Page {
@@ -131,52 +113,34 @@ impl Page {
         self.address
     }
 
-    /// Serves until the evaluation channel closes, then tells browsers so and closes all connections.
+    /// Serves a run on the bus, and adds `evaluations` to those that are known, until their channel closes.
     ///
     /// # Errors
     /// Returns an error if the session fails or a task of the page panics.
-    pub async fn serve(self, bus: &Bus, mut source: Source) -> anyhow::Result<()> {
-        let board = Arc::new(Board::default());
-        let shutdown = CancellationToken::new();
-        let _ended_with_this = shutdown.clone().drop_guard();
-        let observer = Observer::new(source.policy, source.weights);
-        let replays = Arc::new(Replays::new(observer, source.about.catalog.clone()));
-        let videos = Videos(source.run);
-        let shown =
-            Shown { about: source.about, board: board.clone(), replays: replays.clone(), videos, stage: source.stage };
-        let mut tasks = JoinSet::new();
-        let first = shown.about.catalog.get(&shown.about.first()).cloned();
-        if let (Kind::Play, Some(stage), Some(first)) = (shown.about.kind, shown.stage.clone(), first) {
-            let (replays, ended) = (replays.clone(), shutdown.clone());
-            tasks.spawn(async move {
-                ended.run_until_cancelled(stage.open_with(first, replays)).await;
-            });
-        }
-        let farewell = shown.about.farewell.clone();
-        let places = Places::default();
-        let routes = routes::routes(shown, Vec::new(), None, places.clone(), self.config);
-        tasks.spawn(replays.run(bus.clone(), shutdown.clone()));
-        tasks.spawn(server::serve(self.listener, routes, board.clone(), shutdown.clone()));
-        let (its_board, its_bus, its_shutdown) = (board.clone(), bus.clone(), shutdown.clone());
+    pub async fn serve(
+        self,
+        bus: &Bus,
+        run: ShownRun,
+        mut evaluations: mpsc::UnboundedReceiver<Evaluation>,
+    ) -> anyhow::Result<()> {
+        let shown = run.into_shown();
+        let (board, replays) = (shown.board.clone(), shown.replays.clone());
+        let ended = CancellationToken::new();
+        let _ended_with_this = ended.clone().drop_guard();
+        let recorder = tokio::spawn(replays.run(bus.clone(), ended.clone()));
+        let (its_board, its_bus, its_end) = (board.clone(), bus.clone(), ended.clone());
         let follower = tokio::spawn(async move {
-            follow(&its_bus, Instant::now(), &its_shutdown, |news, now| its_board.receive(news, now)).await
+            follow(&its_bus, Instant::now(), &its_end, |news, now| its_board.receive(news, now)).await
         });
-        let mut beat = tokio::time::interval(BEAT);
-        loop {
-            tokio::select! {
-                evaluation = source.evaluations.recv() => match evaluation {
-                    Some(evaluation) => board.evaluated(&evaluation),
-                    None => break,
-                },
-                _ = beat.tick() => board.beat(),
+        let evaluated = async {
+            while let Some(evaluation) = evaluations.recv().await {
+                board.evaluated(&evaluation);
             }
-        }
-        board.ended(&farewell);
-        places.left().await;
-        shutdown.cancel();
-        while let Some(task) = tasks.join_next().await {
-            task.context("a task of the page panicked")?;
-        }
+            ended.cancel();
+        };
+        let (served, ()) = tokio::join!(self.serve_until(ended.clone(), shown, Vec::new(), None), evaluated);
+        served?;
+        recorder.await.context("a task of the page panicked")?;
         follower.await.context("what follows the bus panicked")??;
         Ok(())
     }
@@ -187,13 +151,29 @@ impl Page {
     /// Returns an error if a task of the page panics.
     pub async fn show(self, finished: Finished, shutdown: CancellationToken) -> anyhow::Result<()> {
         let (first, others, sweep) = finished.into_shown();
+        self.serve_until(shutdown, first, others, sweep).await
+    }
+
+    /// Serves until `shutdown`, then tells browsers so and closes all connections.
+    async fn serve_until(
+        self,
+        shutdown: CancellationToken,
+        first: Shown,
+        others: Vec<Shown>,
+        sweep: Option<Value>,
+    ) -> anyhow::Result<()> {
         let boards: Vec<_> = std::iter::once(&first).chain(&others).map(|run| run.board.clone()).collect();
         let counting = first.board.clone();
         let farewell = first.about.farewell.clone();
-        let places = Places::default();
-        let routes = routes::routes(first, others, sweep, places.clone(), self.config);
         let closing = CancellationToken::new();
         let _closed_with_this = closing.clone().drop_guard();
+        let goal = first.about.catalog.get(&first.about.first()).cloned();
+        if let (Kind::Play, Some(stage), Some(goal)) = (first.about.kind, first.stage.clone(), goal) {
+            let (replays, closed) = (first.replays.clone(), closing.clone());
+            tokio::spawn(async move { closed.run_until_cancelled(stage.open_with(goal, replays)).await });
+        }
+        let places = Places::default();
+        let routes = routes::routes(first, others, sweep, places.clone(), self.config);
         let server = tokio::spawn(server::serve(self.listener, routes, counting, closing.clone()));
         let mut beat = tokio::time::interval(BEAT);
         while shutdown.run_until_cancelled(beat.tick()).await.is_some() {
@@ -208,19 +188,18 @@ impl Page {
 
 impl Finished {
     fn into_shown(self) -> (Shown, Vec<Shown>, Option<Value>) {
-        let others = self.others.into_iter().map(FinishedRun::into_shown).collect();
+        let others = self.others.into_iter().map(ShownRun::into_shown).collect();
         (self.first.into_shown(), others, self.sweep)
     }
 }
 
-impl FinishedRun {
+impl ShownRun {
     fn into_shown(self) -> Shown {
         let board = Arc::new(Board::default());
         self.evaluations.iter().for_each(|evaluation| board.evaluated(evaluation));
         self.learner.iter().for_each(|learner| board.learned(learner));
-        let (_, weights) = watch::channel(self.weights);
-        let replays = Arc::new(Replays::new(Observer::new(self.policy, weights), self.about.catalog.clone()));
-        Shown { about: self.about, board, replays, videos: Videos(Some(self.run)), stage: self.stage }
+        let replays = Arc::new(Replays::new(Observer::new(self.policy, self.weights), self.about.catalog.clone()));
+        Shown { about: self.about, board, replays, videos: Videos(self.run), stage: self.stage }
     }
 }
 

@@ -96,8 +96,8 @@ pub(crate) fn preset_of(paths: &RunPaths) -> Option<String> {
 }
 
 /// What produced a run, for those who see its page: what is recorded, without the page's token, and the settings.
-pub(crate) fn origin_of(paths: &RunPaths, config: &Config) -> Value {
-    let mut origin = meta_of(paths).unwrap_or_default();
+pub(crate) fn origin_of(paths: Option<&RunPaths>, config: &Config) -> Value {
+    let mut origin = paths.and_then(meta_of).unwrap_or_default();
     for word in origin.get_mut("command").and_then(Value::as_array_mut).into_iter().flatten() {
         if let Some((name, _)) = word.as_str().and_then(|text| text.split_once("token")) {
             *word = format!("{name}token=…").into();
@@ -384,7 +384,7 @@ mod tests {
         let config = config_with(Some("0123456789abcdef"));
         assert_eq!(modes(&config), [0o600; 2]);
         fs::write(paths.meta(), r#"{ "command": ["--set", "dashboard.web.token=0123456789abcdef"] }"#).unwrap();
-        let origin = origin_of(&paths, &config).to_string();
+        let origin = origin_of(Some(&paths), &config).to_string();
         assert!(origin.contains("dashboard.web.token=…") && !origin.contains("0123456789"), "{origin}");
     }
 

@@ -56,26 +56,29 @@ async fn serve(token: Option<&str>) -> Served {
     let token = token.map(|token| Token::from(token.to_owned()));
     let page = Page::bind(&Valid::new(WebConfig { token, ..Default::default() }).unwrap()).await.unwrap();
     let address = page.address();
-    let (policy, newest) = (untrained::small_policy(), untrained::weights());
     let (evaluations, its_evaluations) = mpsc::unbounded_channel();
-    let (_, weights) = watch::channel(Some(Arc::new(newest)));
     let farewell = Farewell { ended: "the run", command: Some("a command".to_owned()) };
     let about = About { farewell, ..about(Kind::Training, "r", 5000, Catalog::builtin().clone()) };
     let stage = Stage::new(None, |order, _| match order.builder {
         Builder::Expert => Ok(recording()),
         Builder::Policy => Err(StageError::NoWeights),
     });
-    let source = Source {
-        evaluations: its_evaluations,
-        weights,
-        policy,
-        run: Some(RunPaths::new(dir.path())),
+    let run = ShownRun {
         about,
+        evaluations: Vec::new(),
+        learner: Vec::new(),
+        run: Some(RunPaths::new(dir.path())),
+        policy: untrained::small_policy(),
+        weights: untrained_weights(),
         stage: Some(stage),
     };
     let its_bus = bus.clone();
-    let task = tokio::spawn(async move { page.serve(&its_bus, source).await });
+    let task = tokio::spawn(async move { page.serve(&its_bus, run, its_evaluations).await });
     Served { dir, bus, address, evaluations, task }
+}
+
+fn untrained_weights() -> watch::Receiver<Option<Arc<Weights>>> {
+    watch::channel(Some(Arc::new(untrained::weights()))).1
 }
 
 fn about(kind: Kind, run: &str, n_env_steps: u64, catalog: Arc<Catalog>) -> About {

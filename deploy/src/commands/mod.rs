@@ -56,7 +56,7 @@ pub fn execute(command: Command, terminal: &Terminal) -> Result<(), Failure> {
             let named = [&args.ids[..], &args.blueprint[..]].concat();
             let goals = goals::Goals::open_beside(&named, args.checkpoint.as_deref())?;
             goals.tell_choices(terminal);
-            let config = play::configure(&source, &goals.ids, &args)?;
+            let config = play::configure(&source, &args)?;
             on_runtime(async |shutdown| play::run(source, &goals, &config, &args, terminal, shutdown).await)
         }
         Command::Serve(args) => on_runtime(async |shutdown| serve::run(&args, terminal, shutdown).await),

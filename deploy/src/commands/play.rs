@@ -5,38 +5,25 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
-use blueprints::{BlueprintId, Catalog, N_BLOCKS, Split};
-use dashboard::{About, Farewell, Kind, Page};
-use proto::{Valid, Weights};
+use dashboard::{About, Farewell, Finished, Kind, ShownRun};
+use proto::Valid;
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::goals::{Goals, run_of};
 use super::models::{Source, pretrained_success};
-use super::{common::join_bus, services};
+use super::services;
+use super::stage::stage;
 use crate::cli::PlayArgs;
 use crate::config::{Config, Override};
 use crate::exit::Failure;
 use crate::live::Terminal;
 use crate::shell;
 
-/// Name of the run and of its only service.
-const NAME: &str = "play";
-
-/// The configuration of a run that consists of the evaluator only, for the blueprints `named`, or for all.
-pub(super) fn configure(source: &Source, named: &[BlueprintId], args: &PlayArgs) -> Result<Valid<Config>, Failure> {
+/// The configuration of the worlds and of the page.
+pub(super) fn configure(source: &Source, args: &PlayArgs) -> Result<Valid<Config>, Failure> {
     let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
-    let mut overrides = vec![
-        Override::flag("play", "bus.run", NAME),
-        Override::flag("--web", "dashboard.web.listen", page.to_string()),
-    ];
-    if !named.is_empty() {
-        let ids: Vec<String> = named.iter().map(ToString::to_string).collect();
-        let splits: Vec<String> = Split::ALL.iter().map(ToString::to_string).collect();
-        overrides.push(Override::flag("ID", "evaluator.selection.blueprints", ids));
-        // Regardless of what the policy was evaluated on during training.
-        overrides.push(Override::flag("ID", "evaluator.selection.splits", splits));
-        overrides.push(Override::flag("ID", "evaluator.selection.sizes", vec![2, N_BLOCKS as i64]));
-    }
+    let mut overrides = vec![Override::flag("--web", "dashboard.web.listen", page.to_string())];
     for text in &args.set {
         overrides.push(Override::parse(text)?);
     }
@@ -52,24 +39,20 @@ pub(super) async fn run(
     terminal: &Terminal,
     shutdown: CancellationToken,
 ) -> Result<(), Failure> {
-    let weights = Arc::new(published(source, config, &goals.catalog)?);
-    let page = Page::bind(&services::web(config).expect("`configure` asks for a page")).await?;
+    let page = services::page(config).await?.expect("`configure` asks for a page");
     services::tell_page(Some(&page), terminal);
     if !args.no_open {
         open(&format!("http://{}", page.address()));
     }
-    let run = args.checkpoint.as_deref().and_then(run_of);
-    // So that the first episode does not wait for the bus.
-    let first = Some(weights.clone());
     terminal.print("Ctrl-C ends");
-    let Some(bus) = join_bus(&config.part(|config| &config.bus), &shutdown).await? else { return Ok(()) };
-    let publisher = bus.weights_publisher().await?;
-    publisher.publish(weights).await?;
-    let setup = services::evaluator_setup(config, NAME.to_owned(), None, &goals.catalog);
-    let opened = services::Opened { page, about: about(args, goals), first, run };
-    let ended = services::show(setup, opened, &bus, shutdown).await;
-    bus.close().await;
-    ended
+    let weights = watch::channel(Some(Arc::new(source.model.weights))).1;
+    let policy = config.part(|config| &config.policy);
+    let run = args.checkpoint.as_deref().and_then(run_of);
+    let stage = Some(stage(Config::evaluation_environment(config), policy.clone(), weights.clone(), run));
+    let (evaluations, learner) = (Vec::new(), Vec::new());
+    let first = ShownRun { about: about(args, goals), evaluations, learner, run: None, policy, weights, stage };
+    page.show(Finished { first, others: Vec::new(), sweep: None }, shutdown).await?;
+    Ok(())
 }
 
 /// Opens the page in a browser, where a person at a terminal has one.
@@ -117,13 +100,4 @@ fn command(args: &PlayArgs) -> String {
         .chain(files)
         .collect::<Vec<_>>()
         .join(" ")
-}
-
-/// The weights as a learner would publish them, with task probabilities: here uniform over all evaluated goals.
-fn published(source: Source, config: &Config, catalog: &Catalog) -> Result<Weights, Failure> {
-    let selected = config.evaluator.selection.select(catalog);
-    let goals = selected.map_err(|error| Failure::Usage(error.to_string()))?;
-    let share = 1.0 / goals.len().max(1) as f32;
-    let task_probabilities = goals.iter().map(|goal| (goal.id().clone(), share)).collect();
-    Ok(Weights { task_probabilities, ..source.model.weights })
 }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use anyhow::Context;
 use blueprints::{BlueprintId, Catalog, Group};
 use dashboard::config::WebConfig;
-use dashboard::{About, Farewell, Finished, FinishedRun, Kind, Page};
+use dashboard::{About, Farewell, Finished, Kind, Page, ShownRun};
 use proto::keys::METRICS_LEARNER;
 use proto::metrics::LearnerMetrics;
 use runlog::{History, RunPaths};
@@ -20,13 +20,14 @@ use super::common::serve_command;
 use super::goals::Goals;
 use super::models::Source;
 use super::names::names;
+use super::services;
 use super::stage::stage;
 use super::sweep;
 use crate::cli::ServeArgs;
 use crate::config::{Config, read};
 use crate::exit::Failure;
 use crate::live::Terminal;
-use crate::run_dir::{check_run, origin_of, preset_of};
+use crate::run_dir::check_run;
 
 /// Maximum number of runs of a sweep that can be looked at one by one; all are kept in memory.
 const MAX_RUNS: usize = 60;
@@ -89,7 +90,7 @@ fn recorded(
 }
 
 /// Loads a finished run, shown as `run`, from its files.
-fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRun, Failure> {
+fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<ShownRun, Failure> {
     let paths = RunPaths::new(folder);
     check_run(folder)?;
     let path = paths.config();
@@ -103,19 +104,14 @@ fn finished(folder: &Path, run: String, farewell: Farewell) -> Result<FinishedRu
     };
     let policy =
         model.as_ref().map_or_else(|| config.part(|config| &config.policy), |source| source.model.policy.clone());
-    let weights = model.map(|source| Arc::new(source.model.weights));
-    let (_, newest) = watch::channel(weights.clone());
+    let weights = watch::channel(model.map(|source| Arc::new(source.model.weights))).1;
     // Without weights, a browser would wait for an episode forever.
+    let can_play = weights.borrow().is_some();
     let environment = Config::evaluation_environment(&config);
-    let stage = weights.is_some().then(|| stage(environment, policy.clone(), newest, Some(paths.clone())));
-    let n_env_steps = Some(config.n_env_steps);
+    let stage = can_play.then(|| stage(environment, policy.clone(), weights.clone(), Some(paths.clone())));
     let catalog = Goals::open_beside(&[], Some(folder))?.catalog;
-    let blueprints = config.evaluator.selection.blueprints.clone();
-    let trained = config.actor.tasks.filter.select(&catalog).unwrap_or_default();
-    let (kind, preset, origin) = (Kind::Finished, preset_of(&paths), origin_of(&paths, &config));
-    let success = serde_json::Value::Null;
-    let about = About { kind, run, preset, n_env_steps, blueprints, trained, catalog, farewell, origin, success };
-    Ok(FinishedRun { about, evaluations, learner, run: paths, policy, weights, stage })
+    let about = About { kind: Kind::Finished, run, ..services::about(&config, Some(&paths), &catalog, farewell) };
+    Ok(ShownRun { about, evaluations, learner, run: Some(paths), policy, weights, stage })
 }
 
 /// The learner's lines of `metrics.jsonl`; empty if there is no such file. Logs how many lines cannot be parsed.

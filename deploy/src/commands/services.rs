@@ -7,12 +7,11 @@ use std::time::Duration;
 use actor::{ActorSetup, TaskFilter};
 use blueprints::Catalog;
 use bus::{Bus, BusConfig, BusError, BusMode, SecurityConfig};
-use dashboard::config::WebConfig;
-use dashboard::{About, Farewell, Kind, Page, Source};
+use dashboard::{About, Farewell, Kind, Page, ShownRun};
 use evaluator::{EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
 use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
 use proto::metrics::LearnerMetrics;
-use proto::{ActorId, Role, Valid, Weights};
+use proto::{ActorId, Role, Valid};
 use runlog::RunPaths;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -27,7 +26,7 @@ use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
 use crate::names::random_name;
-use crate::run_dir::{Origin, RunDir};
+use crate::run_dir::{Origin, RunDir, origin_of, preset_of};
 
 /// Delay before the first notice that no router answers, and between later notices.
 const FIRST_WAIT_NOTICE: Duration = Duration::from_secs(3);
@@ -120,12 +119,12 @@ pub(super) async fn run_evaluator(
     terminal.print(&begins(&format!("evaluator `{id}` evaluates weights"), settings));
     let setup = evaluator_setup(config, id, args.run_dir.as_deref(), Catalog::builtin());
     let health = Reporter::start(Role::Evaluator.as_str(), args.member.health.health_file.as_deref())?;
-    let opened = page(web(config)).await?;
-    tell_page(opened.as_ref(), terminal);
+    let page = page(config).await?;
+    tell_page(page.as_ref(), terminal);
     let command = args.run_dir.clone().map(|run_dir| serve_command(&[run_dir]));
     let farewell = Farewell { ended: "the evaluator", command };
-    let page =
-        opened.map(|page| Opened { page, about: about(settings, &setup.catalog, farewell), first: None, run: None });
+    let preset = settings.preset.map(|preset| preset.name.to_owned());
+    let page = page.map(|page| (page, About { preset, ..about(config, None, &setup.catalog, farewell) }));
     let (reports, evaluated) = watch::channel(None);
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), args.verbose));
     let (progress, counted) = watch::channel(None);
@@ -198,40 +197,30 @@ async fn tell_of_learner(bus: Bus) -> Result<(), BusError> {
     Ok(())
 }
 
-/// A page whose address is bound, and what it shows first.
-pub(super) struct Opened {
-    pub(super) page: Page,
-    pub(super) about: About,
-    /// The weights that act until others arrive.
-    pub(super) first: Option<Arc<Weights>>,
-    /// The run whose snapshots act, if it is not the one that the evaluator keeps.
-    pub(super) run: Option<RunPaths>,
-}
-
-/// Describes a training for its page; `catalog` has all of its goals.
-pub(super) fn about(settings: &Settings, catalog: &Arc<Catalog>, farewell: Farewell) -> About {
-    let config = &settings.config;
+/// Describes a training with these settings for its page, also by what is recorded in the folder of the `run`;
+/// `catalog` has all of its goals.
+pub(super) fn about(config: &Config, run: Option<&RunPaths>, catalog: &Arc<Catalog>, farewell: Farewell) -> About {
     About {
         kind: Kind::Training,
         run: config.bus.run.clone(),
-        preset: settings.preset.map(|preset| preset.name.to_owned()),
+        preset: run.and_then(preset_of),
         n_env_steps: Some(config.n_env_steps),
         blueprints: config.evaluator.selection.blueprints.clone(),
         trained: config.actor.tasks.filter.select(catalog).unwrap_or_default(),
         catalog: catalog.clone(),
         farewell,
-        origin: serde_json::json!({ "settings": config.shown() }),
+        origin: origin_of(run, config),
         success: serde_json::Value::Null,
     }
 }
 
-/// Like [`evaluate`]; if the evaluator keeps records, keeps the best policy and snapshots as well, of a run of
-/// `n_env_steps`.
+/// Runs an evaluator with these listeners, and serves its page if there is one. If the evaluator keeps records, keeps
+/// the best policy and snapshots as well, of a run of `n_env_steps`.
 pub(super) async fn evaluator(
     setup: EvaluatorSetup,
     n_env_steps: u64,
     mut listeners: Listeners,
-    page: Option<Opened>,
+    page: Option<(Page, About)>,
     bus: Bus,
     stop: Stop,
 ) -> Result<(), Failure> {
@@ -242,79 +231,34 @@ pub(super) async fn evaluator(
         let newest = listeners.weights.subscribe();
         keeping = Some(tokio::spawn(best::keep(verdicts, newest, n_env_steps, setup.policy.clone(), paths)));
     }
-    let ended = evaluate(setup, listeners, page, bus, stop).await;
+    let (sender, evaluations) = mpsc::unbounded_channel();
+    listeners.evaluations = sender;
+    let shown = page.map(|(page, about)| {
+        let weights = listeners.weights.subscribe();
+        let (policy, run) = (setup.policy.clone(), setup.records.clone());
+        let stage = Some(stage(setup.environment.clone(), policy.clone(), weights.clone(), run.clone()));
+        (page, ShownRun { about, evaluations: Vec::new(), learner: Vec::new(), run, policy, weights, stage })
+    });
+    let now = stop.now.clone();
+    let serving = async {
+        match shown {
+            Some((page, run)) => page.serve(&bus, run, evaluations).await.inspect_err(|_| now.cancel()),
+            None => Ok(()),
+        }
+    };
+    // The page ends after the evaluator, however that ends, to tell browsers so.
+    let (evaluated, served) = tokio::join!(evaluator::run(setup, &bus, listeners, stop), serving);
     // It ends with the evaluator, and the last verdict may be the best.
     if let Some(keeping) = keeping {
         keeping.await?;
     }
-    ended
-}
-
-/// Runs an evaluator with these listeners, and serves its page if there is one.
-pub(super) async fn evaluate(
-    setup: EvaluatorSetup,
-    mut listeners: Listeners,
-    page: Option<Opened>,
-    bus: Bus,
-    stop: Stop,
-) -> Result<(), Failure> {
-    let Some(opened) = page else {
-        evaluator::run(setup, &bus, listeners, stop).await?;
-        return Ok(());
-    };
-    let (page, source) = opened.onto(&setup, &mut listeners);
-    let now = stop.now.clone();
-    let serving = async { page.serve(&bus, source).await.inspect_err(|_| now.cancel()) };
-    // The page ends after the evaluator, however that ends, to tell browsers so.
-    let (evaluated, served) = tokio::join!(evaluator::run(setup, &bus, listeners, stop), serving);
     evaluated.map(drop).and(served)?;
     Ok(())
 }
 
-/// Serves a page on which a policy builds, without evaluating it, until `shutdown`.
-pub(super) async fn show(
-    setup: EvaluatorSetup,
-    opened: Opened,
-    bus: &Bus,
-    shutdown: CancellationToken,
-) -> Result<(), Failure> {
-    let mut listeners = Listeners::default();
-    let (page, source) = opened.onto(&setup, &mut listeners);
-    // The page ends, and tells browsers so, when no evaluation can come any more.
-    let ending = async {
-        shutdown.cancelled().await;
-        drop(listeners);
-    };
-    let serving = async { page.serve(bus, source).await.inspect_err(|_| shutdown.cancel()) };
-    let (served, ()) = tokio::join!(serving, ending);
-    served?;
-    Ok(())
-}
-
-impl Opened {
-    /// Splits this into the page and the source of what it shows, with the settings of this evaluator: what these
-    /// `listeners` hear.
-    fn onto(self, setup: &EvaluatorSetup, listeners: &mut Listeners) -> (Page, Source) {
-        let Self { page, about, first, run: other } = self;
-        let (evaluation_sender, evaluations) = mpsc::unbounded_channel();
-        listeners.evaluations = evaluation_sender;
-        listeners.weights.send_replace(first);
-        let weights = listeners.weights.subscribe();
-        let (policy, run) = (setup.policy.clone(), setup.records.clone());
-        let stage = stage(setup.environment.clone(), policy.clone(), weights.clone(), other.or_else(|| run.clone()));
-        let stage = Some(stage);
-        (page, Source { evaluations, weights, policy, run, about, stage })
-    }
-}
-
-/// The page that these settings ask for.
-pub(super) fn web(config: &Valid<Config>) -> Option<Valid<WebConfig>> {
-    config.part(|config| &config.dashboard.web).transpose()
-}
-
-/// Binds the page's address, if a page is configured.
-pub(super) async fn page(web: Option<Valid<WebConfig>>) -> Result<Option<Page>, Failure> {
-    match web {
+/// Binds the address of the page that these settings ask for, if they do.
+pub(super) async fn page(config: &Valid<Config>) -> Result<Option<Page>, Failure> {
+    match config.part(|config| &config.dashboard.web).transpose() {
         Some(web) => Ok(Some(Page::bind(&web).await?)),
         None => Ok(None),
     }

@@ -29,7 +29,7 @@ use crate::config::{Config, Override, Preset};
 use crate::exit::Failure;
 use crate::health::Reporter;
 use crate::live::{self, Terminal};
-use crate::run_dir::{Origin, RunDir, origin_of, preset_of};
+use crate::run_dir::{Origin, RunDir};
 use crate::shell::{self, program};
 use crate::signals;
 
@@ -104,7 +104,8 @@ pub(super) async fn run(
     let health = Reporter::start("train", args.health.health_file.as_deref())?;
     let run_dir = services::run_dir(args.run.run_dir.as_deref(), settings, &setup, &origin)?;
     services::tell_page(page.as_ref(), terminal);
-    let page = page.map(|page| opened(page, settings, goals, &run_dir));
+    let last_words = Farewell { ended: "the run", command: Some(serve_command(&[run_dir.path().to_owned()])) };
+    let page = page.map(|page| (page, services::about(config, Some(&run_dir.paths), &goals.catalog, last_words)));
     terminal.print(&introduction(settings, &origin, &run_dir));
     let bus = watchable(config.part(|config| &config.bus), run_dir.path());
     let joined = join_bus(&bus, &shutdown).await.inspect_err(|_| run_dir.abandon())?;
@@ -149,17 +150,6 @@ pub(super) async fn run(
     })
 }
 
-/// The page of the run in this folder.
-fn opened(page: Page, settings: &Settings, goals: &Goals, run_dir: &RunDir) -> services::Opened {
-    let last_words = Farewell { ended: "the run", command: Some(serve_command(&[run_dir.path().to_owned()])) };
-    let about = About {
-        preset: preset_of(&run_dir.paths),
-        origin: origin_of(&run_dir.paths, &settings.config),
-        ..services::about(settings, &goals.catalog, last_words)
-    };
-    services::Opened { page, about, first: None, run: None }
-}
-
 struct Services<'t> {
     config: &'t Valid<Config>,
     catalog: &'t Arc<Catalog>,
@@ -176,7 +166,7 @@ impl Services<'_> {
         options: RunOptions,
         last: watch::Sender<Option<Arc<Weights>>>,
         listeners: Listeners,
-        page: Option<services::Opened>,
+        page: Option<(Page, About)>,
     ) -> Result<learner::Summary, Failure> {
         let last_weights = last.subscribe();
         // Ends what needs the learner; the evaluator may still have the last weights to evaluate.
@@ -259,14 +249,11 @@ async fn page(config: &Valid<Config>, args: &TrainArgs) -> Result<Option<Page>, 
     if args.no_web {
         return Ok(None);
     }
-    if let Some(web) = services::web(config) {
-        return services::page(Some(web)).await;
+    if let Some(page) = services::page(config).await? {
+        return Ok(Some(page));
     }
-    let page = services::page(Some(Valid::default())).await;
-    Ok(page.unwrap_or_else(|error| {
-        tracing::warn!(%error, "training without a page");
-        None
-    }))
+    let page = Page::bind(&Valid::default()).await;
+    Ok(page.inspect_err(|error| tracing::warn!(%error, "training without a page")).ok())
 }
 
 fn introduction(settings: &Settings, origin: &Origin, run_dir: &RunDir) -> String {

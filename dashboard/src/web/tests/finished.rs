@@ -19,10 +19,10 @@ async fn runs_that_have_ended_stand_side_by_side() {
     }
     let finished = |name: &str, n_env_steps, catalog| {
         let about = about(Kind::Finished, name, n_env_steps, catalog);
-        let (policy, weights) = (untrained::small_policy(), Some(Arc::new(untrained::weights())));
-        let run = RunPaths::new(dir.path());
+        let (policy, weights) = (untrained::small_policy(), untrained_weights());
+        let run = Some(RunPaths::new(dir.path()));
         let evaluations = vec![evaluation(n_env_steps, &[])];
-        FinishedRun { about, evaluations, learner: Vec::new(), run, policy, weights, stage: None }
+        ShownRun { about, evaluations, learner: Vec::new(), run, policy, weights, stage: None }
     };
     let page = Page::bind(&Valid::default()).await.unwrap();
     let address = page.address();
