@@ -1,9 +1,9 @@
 //! The known state of a run: the newest metrics of each part and which processes are alive. Shown by the page and the
 //! terminal.
 
+mod points;
 pub(crate) mod proposals;
 mod sizes;
-mod trends;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -20,15 +20,17 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use time::OffsetDateTime;
 
+pub(crate) use points::Points;
 pub use sizes::Sizes;
-pub(crate) use trends::Trends;
-pub use trends::success_rate;
 
 /// Maximum number of remembered actors, including lost ones, so that invented names cannot exhaust memory.
 pub(crate) const MAX_ACTORS: usize = 10_000;
 
 /// Maximum number of remembered blueprints.
 pub(crate) const MAX_BLUEPRINTS: usize = 10_000;
+
+/// Maximum number of remembered evaluations.
+const MAX_EVALUATIONS: usize = 200;
 
 /// State of a run, built from its messages. Reads no clock: callers pass times, measured from the start of the watch.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -50,8 +52,10 @@ pub(crate) struct RunView {
     pub(crate) unread: Unread,
     /// Counts of messages dropped by the watch's own session.
     pub(crate) bus: BusCounts,
-    /// Trends of the metrics since the watch began.
-    pub(crate) trends: Trends,
+    /// The learner's updates since the watch began.
+    pub(crate) points: Points,
+    /// Success rates of the newest complete evaluations, oldest first.
+    pub(crate) evaluated: Vec<f64>,
     /// Success of the newest training episodes by size.
     pub(crate) sizes: Sizes,
     /// The other runs on the router, as of the last lookup.
@@ -183,6 +187,12 @@ impl RunView {
         self.blueprints.values().filter(|blueprint| Some(blueprint.weights_version) == version).collect()
     }
 
+    /// Returns the names and values, oldest first, of all numbers over time that have values.
+    pub(crate) fn trends(&self) -> impl Iterator<Item = (&'static str, Vec<f64>)> {
+        let evaluated = ("success, evaluated", self.evaluated.clone());
+        [evaluated].into_iter().chain(self.points.charted()).filter(|(_, values)| !values.is_empty())
+    }
+
     /// Returns whether no process is alive and no metrics have arrived.
     pub(crate) fn is_empty(&self) -> bool {
         let Roster { actors, learners, evaluators } = &self.roster;
@@ -215,12 +225,9 @@ impl RunView {
                 let episodes = &value.episodes;
                 believe([&episodes.success].into_iter().chain(episodes.success_by_blueprint.values()))?;
                 readable_if(value.proposals.as_ref().is_none_or(proposals::are_believable))?;
-                // A learner that waits for its disk reports the same weights again.
-                let is_same = |heard: &Newest<LearnerMetrics>| heard.value.weights_version == value.weights_version;
-                let is_update = !self.learner.as_ref().is_some_and(is_same);
                 let is_news = update(&mut self.learner, value, at);
-                if let Some(heard) = self.learner.as_ref().filter(|_| is_news && is_update) {
-                    self.trends.learned(&heard.value);
+                if let Some(heard) = self.learner.as_ref().filter(|_| is_news) {
+                    self.points.push(&heard.value);
                     self.sizes.add(&heard.value);
                 }
                 is_news
@@ -231,8 +238,10 @@ impl RunView {
                     believe(rates(&group.sampled).into_iter().chain(rates(&group.greedy)))?;
                 }
                 let is_news = update(&mut self.evaluation, value, at);
-                if let Some(heard) = self.evaluation.as_ref().filter(|_| is_news) {
-                    self.trends.evaluated(&heard.value);
+                // The first episodes of an evaluation say little.
+                if let Some(heard) = self.evaluation.as_ref().filter(|heard| is_news && heard.value.is_complete) {
+                    self.evaluated.extend(success_rate(&heard.value.all.greedy, &heard.value.all.sampled));
+                    self.evaluated.drain(..self.evaluated.len().saturating_sub(MAX_EVALUATIONS));
                 }
                 is_news
             }
@@ -272,6 +281,13 @@ impl RunView {
             lost.min_by_key(|(_, actor)| actor.metrics.as_ref().map(|heard| heard.at)).map(|(id, _)| id.clone());
         oldest.is_some_and(|id| self.actors.remove(&id).is_some())
     }
+}
+
+/// Returns the success rate with greedy actions, or with sampled ones if no greedy episodes were run, 0 to 1; `None`
+/// without episodes.
+pub fn success_rate(greedy: &EvalOutcome, sampled: &EvalOutcome) -> Option<f64> {
+    let rates = [&greedy.success, &sampled.success];
+    rates.into_iter().find(|success| success.n_episodes > 0).map(|success| success.rate)
 }
 
 /// Says in words that a learner waits, since when, and why.

@@ -410,12 +410,12 @@ async fn a_connection_serves_one_request() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_is_put_on_the_bus_reaches_the_browser() {
     let mut served = serve(None).await;
-    let before = served.bus.metrics_publisher("custom/first").await.unwrap();
-    before.put(&json!({ "x": 1 })).await.unwrap();
+    let before = served.bus.metrics_publisher("learner").await.unwrap();
+    before.put(&crate::tests::samples::learner().value).await.unwrap();
     let mut lines = served.listen().await;
     // A late subscriber first receives the newest value. A sample still in flight arrives as an event.
-    let first = within(event_with(&mut lines, "metrics", |data| data["key"] == "custom/first")).await;
-    assert_eq!(first["payload"], json!({ "x": 1 }));
+    let first = within(event_with(&mut lines, "metrics", |data| data["key"] == "learner")).await;
+    assert_eq!(first["payload"]["weights_version"], 812);
     let alive = served.bus.declare_alive(Role::Actor, "a-1").await.unwrap();
     within(event_with(&mut lines, "roster", |data| data["actors"] == json!(["a-1"]))).await;
     drop(alive);

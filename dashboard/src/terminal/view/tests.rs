@@ -58,7 +58,7 @@ fn pressed(keys: &[KeyCode]) -> Controls {
 #[test]
 fn a_learner_that_cannot_save_says_so_and_has_learned_nothing_more() {
     let mut run = busy();
-    let n_values = |run: &RunView| run.trends.all().map(|(_, values)| values.len()).sum::<usize>();
+    let n_values = |run: &RunView| run.trends().map(|(_, values)| values.len()).sum::<usize>();
     let before = n_values(&run);
     let mut learner = samples::learner();
     learner.value["not_saved"] =
@@ -117,8 +117,7 @@ fn an_evaluation_that_runs_is_shown_as_such_and_is_no_part_of_the_curve() {
     run.take(&part, seconds(40));
     let shown = screen(&run, seconds(42), 80, 24);
     assert!(shown.contains(&"Success in % so far, 160 of 320 episodes: weights 900, 3 276 800 steps".to_owned()));
-    let evaluated = run.trends.all().find(|(name, _)| *name == "success, evaluated").unwrap().1;
-    assert_eq!(evaluated, &[0.75]);
+    assert_eq!(run.evaluated, [0.75]);
 }
 
 #[test]
@@ -310,7 +309,7 @@ fn numbers_are_drawn_over_time() {
     let mut run = busy();
     for n_done in 1..4_u32 {
         let mut learner = samples::learner();
-        learner.value["weights_version"] = (812 + n_done).into();
+        learner.value["n_env_steps"] = (4_000_000 + n_done).into();
         learner.value["env_steps_per_s"] = (1234.4 + 100.0 * f64::from(n_done)).into();
         run.take(&learner, seconds(30 + u64::from(n_done)));
     }

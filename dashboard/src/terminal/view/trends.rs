@@ -1,7 +1,5 @@
 //! Metrics over time as sparklines.
 
-use std::collections::VecDeque;
-
 use ratatui::text::Line;
 
 use super::format::number;
@@ -24,11 +22,11 @@ const OVERVIEW: [&str; 2] = ["success, evaluated", "steps per second"];
 pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
     let before = format!("  {:<NAME_WIDTH$} {:>9} {:>9} {:>9}  ", "", "now", "least", "most");
     let room = width.saturating_sub(before.len());
-    let rows = run.trends.all().map(|(name, values)| {
-        let (least, most) = range(values);
-        let now = values.back().copied().unwrap_or_default();
+    let rows = run.trends().map(|(name, values)| {
+        let (least, most) = range(&values);
+        let now = values.last().copied().unwrap_or_default();
         let [now, least, most] = [now, least, most].map(number);
-        plain(format!("  {name:<NAME_WIDTH$} {now:>9} {least:>9} {most:>9}  {}", bars(values, room)))
+        plain(format!("  {name:<NAME_WIDTH$} {now:>9} {least:>9} {most:>9}  {}", bars(&values, room)))
     });
     let rows: Vec<Line<'static>> = rows.collect();
     let title = if rows.is_empty() { "Learning: nothing so far" } else { "Learning, since this watch began" };
@@ -37,8 +35,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> (Vec<Line<'static>>, Vec<Lin
 
 /// Formats the main metrics in one line of `width` characters; `None` until one of them has two values.
 pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
-    let trends: Vec<_> =
-        run.trends.all().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
+    let trends: Vec<_> = run.trends().filter(|(name, values)| OVERVIEW.contains(name) && values.len() > 1).collect();
     let title = "  trend      ";
     let names: usize = trends.iter().map(|(name, _)| name.len() + 3).sum();
     let each = width.saturating_sub(title.len() + names) / trends.len().max(1);
@@ -50,7 +47,7 @@ pub(super) fn overview(run: &RunView, width: usize) -> Option<Line<'static>> {
 }
 
 /// Draws the newest values as at most `width` bars.
-fn bars(values: &VecDeque<f64>, width: usize) -> String {
+fn bars(values: &[f64], width: usize) -> String {
     let (least, most) = range(values);
     let bar = |value: f64| {
         let share = if most > least { (value - least) / (most - least) } else { 0.0 };
@@ -59,7 +56,7 @@ fn bars(values: &VecDeque<f64>, width: usize) -> String {
     values.iter().skip(values.len().saturating_sub(width)).map(|value| bar(*value)).collect()
 }
 
-fn range(values: &VecDeque<f64>) -> (f64, f64) {
+fn range(values: &[f64]) -> (f64, f64) {
     values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| (least.min(*value), most.max(*value)))
 }
 
@@ -69,10 +66,10 @@ mod tests {
 
     #[test]
     fn bars_rise_from_the_least_value_to_the_most() {
-        let values: VecDeque<f64> = [0.0, 1.0, 3.9, 8.0, 4.0].into();
+        let values = [0.0, 1.0, 3.9, 8.0, 4.0];
         assert_eq!(bars(&values, 10), "▁▂▄█▅");
         assert_eq!(bars(&values, 2), "█▅");
-        assert_eq!(bars(&[5.0, 5.0].into(), 10), "▁▁");
-        assert_eq!(bars(&VecDeque::new(), 10), "");
+        assert_eq!(bars(&[5.0, 5.0], 10), "▁▁");
+        assert_eq!(bars(&[], 10), "");
     }
 }
