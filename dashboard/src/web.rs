@@ -15,7 +15,6 @@ mod events;
 mod export;
 mod gallery;
 mod prometheus;
-mod query;
 mod replay;
 mod routes;
 mod server;

@@ -15,7 +15,6 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
-use blueprints::Catalog;
 use serde_json::{Value, json};
 use tokio::sync::Semaphore;
 
@@ -26,7 +25,6 @@ use super::drawing::{self, OneCheck};
 use super::events::Places;
 use super::gallery::{self, Gallery};
 use super::prometheus;
-use super::query::id_of;
 use super::replay::Replays;
 use super::server::Connection;
 use super::stage::{self, Stage};
@@ -113,10 +111,6 @@ fn answer_with<S: Clone + Send + Sync + 'static>(json: &Value) -> MethodRouter<S
 
 /// Builds the endpoints of one run.
 fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
-    let name = run.about.run.clone();
-    let metrics = async move |State(board): State<Arc<Board>>| {
-        found(prometheus::CONTENT_TYPE, prometheus::text(&board.state(), &name).map(Some))
-    };
     let about = about(&run.about, run.stage.is_some(), names, is_of_sweep);
     Router::new()
         .route("/api/about", answer_with(&about))
@@ -131,11 +125,7 @@ fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
         .route("/api/video", get(video))
         .route("/api/poster", get(poster))
         .route("/metrics", get(metrics))
-        .layer(Extension(run.about.catalog))
-        .layer(Extension(run.videos))
-        .layer(Extension(run.replays))
-        .layer(Extension(run.stage))
-        .with_state(run.board)
+        .with_state(Arc::new(run))
 }
 
 async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
@@ -146,45 +136,45 @@ async fn ready(State(board): State<Arc<Board>>) -> (StatusCode, &'static str) {
     }
 }
 
-async fn history(State(board): State<Arc<Board>>) -> Response {
-    found("application/json", board.history().map(Some))
+async fn history(State(run): State<Arc<Shown>>) -> Response {
+    found("application/json", run.board.history().map(Some))
 }
 
-async fn list_videos(Extension(videos): Extension<Videos>) -> Response {
+async fn metrics(State(run): State<Arc<Shown>>) -> Response {
+    found(prometheus::CONTENT_TYPE, prometheus::text(&run.board.state(), &run.about.run).map(Some))
+}
+
+async fn list_videos(State(run): State<Arc<Shown>>) -> Response {
     // Off the runtime, because this blocks on disk reads. The same applies below.
-    let list = move || Some(json!({ "schema_version": 1, "videos": videos.list() }).to_string());
+    let list = move || Some(json!({ "schema_version": 1, "videos": run.videos.list() }).to_string());
     found("application/json", tokio::task::spawn_blocking(list).await)
 }
 
 /// Returns the video named in the query.
-async fn video(Extension(videos): Extension<Videos>, RawQuery(query): RawQuery) -> Response {
-    let asked = id_of(query);
-    found("video/mp4", tokio::task::spawn_blocking(move || videos.bytes(&asked)).await)
+async fn video(State(run): State<Arc<Shown>>, RawQuery(query): RawQuery) -> Response {
+    found("video/mp4", tokio::task::spawn_blocking(move || run.videos.bytes(&id_of(query))).await)
 }
 
 /// Returns the last scene of the video named in the query.
-async fn poster(
-    Extension(videos): Extension<Videos>,
-    Extension(catalog): Extension<Arc<Catalog>>,
-    RawQuery(query): RawQuery,
-) -> Response {
-    let asked = id_of(query);
-    found("image/png", tokio::task::spawn_blocking(move || videos.poster(&catalog, &asked)).await)
+async fn poster(State(run): State<Arc<Shown>>, RawQuery(query): RawQuery) -> Response {
+    let poster = move || run.videos.poster(&run.about.catalog, &id_of(query));
+    found("image/png", tokio::task::spawn_blocking(poster).await)
 }
 
 /// Returns the episode of the video named in the query, in the format of [`replay`].
-async fn recording(
-    Extension(videos): Extension<Videos>,
-    Extension(replays): Extension<Arc<Replays>>,
-    RawQuery(query): RawQuery,
-) -> Response {
-    let asked = id_of(query);
-    let answer = tokio::task::spawn_blocking(move || replays.show_known(&videos.recording(&asked)?)).await;
-    found("application/json", answer)
+async fn recording(State(run): State<Arc<Shown>>, RawQuery(query): RawQuery) -> Response {
+    let recording = move || run.replays.show_known(&run.videos.recording(&id_of(query))?);
+    found("application/json", tokio::task::spawn_blocking(recording).await)
 }
 
-async fn snapshots(Extension(stage): Extension<Option<Stage>>) -> Response {
-    found("application/json", tokio::task::spawn_blocking(move || Some(stage::snapshots(stage))).await)
+async fn snapshots(State(run): State<Arc<Shown>>) -> Response {
+    let list = move || Some(stage::snapshots(run.stage.as_ref()));
+    found("application/json", tokio::task::spawn_blocking(list).await)
+}
+
+/// Returns the value of a query of the form `id=…`; empty for any other query.
+pub(super) fn id_of(query: Option<String>) -> String {
+    query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned()
 }
 
 /// Returns the bytes that were found, 404 if there are none, or 500 after an error, such as a panic of a blocking task.
@@ -200,7 +190,7 @@ fn found(content_type: &'static str, answer: Result<Option<impl Into<Bytes>>, im
 }
 
 async fn events(
-    State(board): State<Arc<Board>>,
+    State(run): State<Arc<Shown>>,
     Extension(connection): Extension<Connection>,
     Extension(places): Extension<Places>,
 ) -> Response {
@@ -208,13 +198,13 @@ async fn events(
         return (StatusCode::SERVICE_UNAVAILABLE, [(RETRY_AFTER, "10")], "too many browsers listen\n").into_response();
     };
     connection.lasts();
-    let events = board.listen(connection.close.clone(), place);
+    let events = run.board.listen(connection.close.clone(), place);
     ([(CONTENT_TYPE, "text/event-stream")], Body::new(events)).into_response()
 }
 
 /// Returns the newest episode, or 202 while there is none. Each request also triggers the recording of a newer one.
-async fn replay(Extension(replays): Extension<Arc<Replays>>) -> Response {
-    match replays.ask() {
+async fn replay(State(run): State<Arc<Shown>>) -> Response {
+    match run.replays.ask() {
         Some(json) => ([(CONTENT_TYPE, "application/json")], json).into_response(),
         None => (StatusCode::ACCEPTED, [(RETRY_AFTER, "2")], "an episode is being recorded\n").into_response(),
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use axum::extract::Extension;
+use axum::extract::State;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER};
 use axum::http::{Method, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
@@ -21,6 +21,7 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::replay::Replays;
+use super::routes::Shown;
 
 /// Maximum number of goals in a row in one world, as in the evaluation without resets.
 const MAX_IN_A_ROW: usize = 10;
@@ -234,16 +235,11 @@ impl Order {
 
 /// Plays the episode that the query describes, of the blueprint file in the body or else of a goal of the catalog.
 /// Returns it in the format of `/api/replay`, or as a video if the path ends like one.
-pub(super) async fn play(
-    Extension(stage): Extension<Option<Stage>>,
-    Extension(replays): Extension<Arc<Replays>>,
-    Extension(catalog): Extension<Arc<Catalog>>,
-    method: Method,
-    uri: Uri,
-    file: Bytes,
-) -> Response {
-    let Some(stage) = stage else { return (StatusCode::NOT_FOUND, "nothing is played here\n").into_response() };
-    let form = if uri.path().ends_with(".mp4") { Form::Video } else { Form::Replay(replays) };
+pub(super) async fn play(State(run): State<Arc<Shown>>, method: Method, uri: Uri, file: Bytes) -> Response {
+    let Some(stage) = run.stage.clone() else {
+        return (StatusCode::NOT_FOUND, "nothing is played here\n").into_response();
+    };
+    let form = if uri.path().ends_with(".mp4") { Form::Video } else { Form::Replay(run.replays.clone()) };
     // The check of a file waits for its turn like an episode, and finishes even if its browser disconnects.
     let turn = match method {
         Method::POST => stage.turn.clone().acquire_owned().await.ok(),
@@ -251,7 +247,7 @@ pub(super) async fn play(
     };
     let order = tokio::task::spawn_blocking(move || {
         let query = uri.query().unwrap_or_default();
-        turn.map_or_else(|| Order::named(query, &catalog), |_turn| Order::drawn(query, &file))
+        turn.map_or_else(|| Order::named(query, &run.about.catalog), |_turn| Order::drawn(query, &file))
     });
     match order.await {
         Ok(Ok(order)) => perform(stage, order, form, false).await,
@@ -261,8 +257,8 @@ pub(super) async fn play(
 }
 
 /// Lists the snapshots by their environment steps, as JSON.
-pub(super) fn snapshots(stage: Option<Stage>) -> String {
-    let run = stage.and_then(|stage| stage.run);
+pub(super) fn snapshots(stage: Option<&Stage>) -> String {
+    let run = stage.and_then(|stage| stage.run.as_ref());
     let all = run.map(|run| run.snapshots().into_keys().collect::<Vec<_>>()).unwrap_or_default();
     json!({ "schema_version": 1, "snapshots": all }).to_string()
 }
@@ -387,7 +383,7 @@ mod tests {
         }
         let stage = Stage::new(Some(run), |order, _| Err(StageError::NoSnapshot(order.snapshot.unwrap())));
         let text = async |answer: Response| axum::body::to_bytes(answer.into_body(), 1000).await.unwrap();
-        assert_eq!(snapshots(Some(stage.clone())), "{\"schema_version\":1,\"snapshots\":[5,77]}");
+        assert_eq!(snapshots(Some(&stage)), "{\"schema_version\":1,\"snapshots\":[5,77]}");
         let order = Order::named("blueprint=2_000&snapshot=6", Catalog::builtin()).unwrap();
         let answer = perform(stage, order, Form::Video, false).await;
         assert_eq!(answer.status(), StatusCode::BAD_REQUEST);
