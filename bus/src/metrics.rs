@@ -146,12 +146,6 @@ impl MetricsSubscriber {
     pub async fn recv(&mut self) -> Option<MetricsSample> {
         self.samples.recv().await
     }
-
-    /// Appends the received samples to `samples`, at least one and at most `limit`, and returns their number; 0 after
-    /// the session is closed.
-    pub async fn recv_many(&mut self, samples: &mut Vec<MetricsSample>, limit: usize) -> usize {
-        self.samples.recv_many(samples, limit).await
-    }
 }
 
 #[derive(Debug)]

@@ -11,13 +11,10 @@ use crate::run_view::{Roster, SessionState};
 /// How often the router connection and the session's own counters are polled.
 const PERIOD: Duration = Duration::from_secs(1);
 
-/// Maximum number of samples per [`News::Metrics`].
-const BATCH: usize = 256;
-
 /// An update from the bus.
 pub(crate) enum News {
-    /// Metrics in order of arrival; at least one.
-    Metrics(Vec<MetricsSample>),
+    /// Metrics, in order of arrival.
+    Metrics(MetricsSample),
     /// State of the session, sent whenever it may have changed and at least once per `PERIOD`.
     Session(SessionState),
 }
@@ -35,18 +32,15 @@ pub(crate) async fn follow(
     let mut metrics = bus.metrics_subscriber("**").await?;
     let members = [bus.alive(Role::Actor).await?, bus.alive(Role::Learner).await?, bus.alive(Role::Evaluator).await?];
     let [mut actors, mut learners, mut evaluators] = members.each_ref().map(AliveWatch::watch);
-    let mut samples = Vec::new();
     let mut was_connected = true;
     let mut n_services = (0, 0);
     let mut period = tokio::time::interval(PERIOD);
     loop {
         tokio::select! {
             () = shutdown.cancelled() => return Ok(()),
-            n_samples = metrics.recv_many(&mut samples, BATCH) => {
-                if n_samples == 0 {
-                    return Ok(());
-                }
-                tell(News::Metrics(std::mem::take(&mut samples)), start.elapsed());
+            sample = metrics.recv() => {
+                let Some(sample) = sample else { return Ok(()) };
+                tell(News::Metrics(sample), start.elapsed());
                 continue;
             }
             Ok(()) = actors.changed() => {}

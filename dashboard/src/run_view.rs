@@ -44,8 +44,8 @@ pub(crate) struct RunView {
     /// The newest evaluation.
     pub(crate) evaluation: Option<Newest<EvalSummary>>,
     blueprints: BTreeMap<BlueprintId, EvalBlueprint>,
-    /// All actors seen so far.
-    pub(crate) actors: BTreeMap<ActorId, Actor>,
+    /// All actors seen so far, with their newest metrics.
+    pub(crate) actors: BTreeMap<ActorId, Option<Newest<ActorMetrics>>>,
     /// The processes that are alive; while the connection is lost, those that were alive before.
     pub(crate) roster: Roster,
     /// Counts of received metrics that are not shown.
@@ -80,15 +80,6 @@ pub(crate) struct Newest<T> {
     pub(crate) value: T,
     /// Time of arrival since the watch began.
     pub(crate) at: Duration,
-}
-
-/// A known actor.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Actor {
-    /// Whether its liveliness token exists. A known actor that is not alive is lost.
-    pub(crate) is_alive: bool,
-    /// Its newest metrics.
-    pub(crate) metrics: Option<Newest<ActorMetrics>>,
 }
 
 /// Counts of received metrics that are not shown, by reason. The bus counts messages that are not JSON.
@@ -155,27 +146,21 @@ impl RunView {
         }
         self.bus = session.counts;
         // All tokens vanish along with the router, so the roster is kept while disconnected.
-        if session.is_connected {
-            has_changed |= self.set_roster(&session.roster);
+        if session.is_connected && session.roster != self.roster {
+            self.roster.clone_from(&session.roster);
+            for id in session.roster.actors.iter().filter_map(|name| ActorId::try_from(name.clone()).ok()) {
+                if !self.actors.contains_key(&id) && self.make_room_for_actor() {
+                    self.actors.insert(id, None);
+                }
+            }
+            has_changed = true;
         }
         has_changed
     }
 
-    fn set_roster(&mut self, roster: &Roster) -> bool {
-        let mut has_changed = self.roster != *roster;
-        self.roster.clone_from(roster);
-        for (id, actor) in &mut self.actors {
-            let is_alive = roster.actors.contains(id.as_str());
-            has_changed |= actor.is_alive != is_alive;
-            actor.is_alive = is_alive;
-        }
-        for id in roster.actors.iter().filter_map(|name| ActorId::try_from(name.clone()).ok()) {
-            if !self.actors.contains_key(&id) && self.make_room_for_actor() {
-                self.actors.insert(id, Actor { is_alive: true, metrics: None });
-                has_changed = true;
-            }
-        }
-        has_changed
+    /// Returns whether the actor's liveliness token exists. A known actor that is not alive is lost.
+    pub(crate) fn is_alive(&self, actor: &ActorId) -> bool {
+        self.roster.actors.contains(actor.as_str())
     }
 
     /// Returns the newest result of each blueprint for the weights of the newest evaluation. Before the first
@@ -208,7 +193,7 @@ impl RunView {
             "learner": self.learner.as_ref().map(|heard| &heard.value),
             "evaluation": self.evaluation.as_ref().map(|heard| &heard.value),
             "blueprints": self.evaluated_blueprints(),
-            "actors": self.actors.values().filter_map(|actor| actor.metrics.as_ref()).map(|heard| &heard.value).collect::<Vec<_>>(),
+            "actors": self.actors.values().flatten().map(|heard| &heard.value).collect::<Vec<_>>(),
             "alive": &self.roster,
         })
     }
@@ -251,10 +236,7 @@ impl RunView {
                 if !self.actors.contains_key(&value.actor) && !self.make_room_for_actor() {
                     return Err(LIMIT);
                 }
-                // The tokens decide whether an actor is alive. Metrics may arrive before its token; the next roster
-                // corrects this.
-                let actor = self.actors.entry(value.actor.clone()).or_insert(Actor { is_alive: true, metrics: None });
-                update(&mut actor.metrics, value, at)
+                update(self.actors.entry(value.actor.clone()).or_default(), value, at)
             }
             _ if suffix.starts_with("eval/") => {
                 let value: EvalBlueprint = parse(value)?;
@@ -276,9 +258,8 @@ impl RunView {
         if self.actors.len() < MAX_ACTORS {
             return true;
         }
-        let lost = self.actors.iter().filter(|(_, actor)| !actor.is_alive);
-        let oldest =
-            lost.min_by_key(|(_, actor)| actor.metrics.as_ref().map(|heard| heard.at)).map(|(id, _)| id.clone());
+        let lost = self.actors.iter().filter(|(id, _)| !self.is_alive(id));
+        let oldest = lost.min_by_key(|(_, metrics)| metrics.as_ref().map(|heard| heard.at)).map(|(id, _)| id.clone());
         oldest.is_some_and(|id| self.actors.remove(&id).is_some())
     }
 }

@@ -177,10 +177,8 @@ async fn keep(
     let bus = opened?;
     let tell = |news, now| {
         run.send_if_modified(|run| match news {
-            News::Metrics(samples) => {
-                for sample in samples {
-                    run.take(&sample, now);
-                }
+            News::Metrics(sample) => {
+                run.take(&sample, now);
                 // A rejected sample still changes a counter.
                 true
             }

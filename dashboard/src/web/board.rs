@@ -83,7 +83,7 @@ impl Board {
     /// Records news from the bus and forwards it to browsers.
     pub(super) fn receive(&self, news: News, now: Duration) {
         match news {
-            News::Metrics(samples) => samples.iter().for_each(|sample| self.measured(sample, now)),
+            News::Metrics(sample) => self.measured(&sample, now),
             News::Session(session) => self.joined(&session, now),
         }
     }
@@ -164,8 +164,8 @@ impl State {
     /// actors.
     pub(super) fn actors(&self) -> impl Iterator<Item = (&ActorId, &ActorMetrics)> {
         let is_connected = self.run.link == Link::Connected;
-        let alive = self.run.actors.iter().filter(move |(_, actor)| is_connected && actor.is_alive);
-        alive.filter_map(|(id, actor)| Some((id, &actor.metrics.as_ref()?.value)))
+        let alive = self.run.actors.iter().filter(move |(id, _)| is_connected && self.run.is_alive(id));
+        alive.filter_map(|(id, heard)| Some((id, &heard.as_ref()?.value)))
     }
 }
 

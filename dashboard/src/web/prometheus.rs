@@ -278,19 +278,30 @@ mod tests {
         samples
     }
 
+    /// Receives what comes from the bus, and returns the samples of a scrape then.
+    fn scraped(board: &Board, news: impl IntoIterator<Item = News>) -> BTreeMap<String, f64> {
+        news.into_iter().for_each(|news| board.receive(news, Duration::ZERO));
+        parse(&text(&board.state(), "a run").unwrap())
+    }
+
+    /// Checks the values of these samples, whose names begin with `prefix`.
+    #[track_caller]
+    fn check(samples: &BTreeMap<String, f64>, prefix: &str, expected: &[(&str, f64)]) {
+        for (sample, value) in expected {
+            assert_eq!(samples.get(&format!("{prefix}_{sample}")), Some(value), "{sample} in {samples:#?}");
+        }
+    }
+
     #[test]
     fn draws_of_the_mixture_head_are_scraped_by_kind() {
-        let board = Board::default();
-        board.receive(News::Metrics(vec![samples::mixture_learner()]), Duration::ZERO);
-        let samples = parse(&text(&board.state(), "a run").unwrap());
-        for (sample, value) in [
+        let samples = scraped(&Board::default(), [News::Metrics(samples::mixture_learner())]);
+        let expected = [
             ("share_ratio{kind=\"join\"}", 0.75),
             ("share_ratio{kind=\"detach\"}", 0.05),
             ("success_ratio{kind=\"detach\"}", 0.4),
             ("entropy_nats{choice=\"second_block\"}", 1.25),
-        ] {
-            assert_eq!(samples.get(&format!("lodestone_learner_proposal_{sample}")), Some(&value), "{samples:#?}");
-        }
+        ];
+        check(&samples, "lodestone_learner_proposal", &expected);
         let n = |name: &str| samples.keys().filter(|sample| sample.contains(name)).count();
         assert_eq!((n("proposal_share"), n("proposal_success")), (3, 2), "{samples:#?}");
     }
@@ -300,30 +311,23 @@ mod tests {
         let board = Board::default();
         let mut evaluation = samples::evaluation();
         evaluation.value["bus"]["weights_refused_total"] = 2.into();
-        board.receive(News::Metrics(vec![evaluation.clone()]), Duration::ZERO);
-        let samples = parse(&text(&board.state(), "a run").unwrap());
-        for (reason, n) in [("weights_refused", 2.0), ("tokens_invalid", 0.0)] {
-            let sample = format!("lodestone_evaluator_bus_dropped_total{{reason=\"{reason}\"}}");
-            assert_eq!(samples.get(&sample), Some(&n), "{samples:#?}");
-        }
+        let samples = scraped(&board, [News::Metrics(evaluation.clone())]);
+        let expected = [("total{reason=\"weights_refused\"}", 2.0), ("total{reason=\"tokens_invalid\"}", 0.0)];
+        check(&samples, "lodestone_evaluator_bus_dropped", &expected);
         // An evaluator that makes no videos has no counters of videos.
         assert!(!samples.keys().any(|sample| sample.contains("videos")), "{samples:#?}");
 
-        evaluation.value["weights_version"] = 801.into();
         evaluation.value["videos"] = serde_json::json!({
             "written_total": 6, "n_waiting": 1, "dropped_total": 2, "failed_total": 3, "unrecorded_total": 4,
             "oversized_total": 0,
         });
-        board.receive(News::Metrics(vec![evaluation]), Duration::ZERO);
-        let samples = parse(&text(&board.state(), "a run").unwrap());
-        for (sample, value) in [
+        let expected = [
             ("written_total", 6.0),
             ("dropped_total{reason=\"dropped\"}", 2.0),
             ("dropped_total{reason=\"failed\"}", 3.0),
             ("dropped_total{reason=\"unrecorded\"}", 4.0),
-        ] {
-            assert_eq!(samples.get(&format!("lodestone_evaluator_videos_{sample}")), Some(&value), "{samples:#?}");
-        }
+        ];
+        check(&scraped(&board, [News::Metrics(evaluation)]), "lodestone_evaluator_videos", &expected);
     }
 
     #[test]
@@ -331,36 +335,32 @@ mod tests {
         let board = Board::default();
         let scores = [("2_003", Split::Train, 2, 4), ("3_001", Split::Train, 3, 5)];
         board.evaluated(&evaluation(200, &scores));
-        let now = Duration::ZERO;
-        board.receive(News::Session(samples::session(&["a", "b"])), now);
         let mut other = samples::learner();
         other.value["schema_version"] = 1.into();
-        board.receive(News::Metrics(vec![samples::actor("a"), samples::actor("gone"), other]), now);
-        board.receive(News::Session(samples::session(&["a", "b"])), now);
-        let samples = parse(&text(&board.state(), "a run").unwrap());
-        for (sample, value) in [
-            ("lodestone_eval_group_success_ratio{group=\"train 2-6\",acting=\"greedy\"}", 0.45),
-            ("lodestone_eval_group_episodes{group=\"all\",acting=\"greedy\"}", 20.0),
-            ("lodestone_eval_blueprint_success_ratio{blueprint=\"2_003\",split=\"train\",acting=\"greedy\"}", 0.4),
-            ("lodestone_eval_weights_version", 20.0),
-            ("lodestone_eval_env_steps", 200.0),
-            ("lodestone_alive_processes{role=\"actor\"}", 2.0),
-            ("lodestone_actor_env_steps_per_second{actor=\"a\"}", 640.25),
-            ("lodestone_page_dropped_total{reason=\"browser_too_slow\"}", 0.0),
-            ("lodestone_page_metrics_unread_total{reason=\"schema_unknown\"}", 1.0),
-            ("lodestone_page_metrics_unread_total{reason=\"over_limit\"}", 0.0),
-            ("lodestone_page_bus_dropped_total{reason=\"metrics_dropped\"}", 0.0),
-            (concat!("lodestone_build_info{version=\"", env!("CARGO_PKG_VERSION"), "\"}"), 1.0),
-        ] {
-            assert_eq!(samples.get(sample), Some(&value), "{sample} in {samples:#?}");
-        }
+        let session = News::Session(samples::session(&["a", "b"]));
+        let metrics = [samples::actor("a"), samples::actor("gone"), other].map(News::Metrics);
+        let samples = scraped(&board, [session].into_iter().chain(metrics));
+        let expected = [
+            ("eval_group_success_ratio{group=\"train 2-6\",acting=\"greedy\"}", 0.45),
+            ("eval_group_episodes{group=\"all\",acting=\"greedy\"}", 20.0),
+            ("eval_blueprint_success_ratio{blueprint=\"2_003\",split=\"train\",acting=\"greedy\"}", 0.4),
+            ("eval_weights_version", 20.0),
+            ("eval_env_steps", 200.0),
+            ("alive_processes{role=\"actor\"}", 2.0),
+            ("actor_env_steps_per_second{actor=\"a\"}", 640.25),
+            ("page_dropped_total{reason=\"browser_too_slow\"}", 0.0),
+            ("page_metrics_unread_total{reason=\"schema_unknown\"}", 1.0),
+            ("page_metrics_unread_total{reason=\"over_limit\"}", 0.0),
+            ("page_bus_dropped_total{reason=\"metrics_dropped\"}", 0.0),
+            (concat!("build_info{version=\"", env!("CARGO_PKG_VERSION"), "\"}"), 1.0),
+        ];
+        check(&samples, "lodestone", &expected);
         // No measurements yet, which is different from 0.
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_learner_")), "{samples:#?}");
         assert!(!samples.keys().any(|sample| sample.contains("gone")), "{samples:#?}");
         // Without a router, live processes are unknown.
-        board.receive(News::Session(samples::cut_off()), now);
-        let samples = parse(&text(&board.state(), "a run").unwrap());
-        assert_eq!(samples.get("lodestone_alive_processes{role=\"learner\"}"), Some(&0.0), "{samples:#?}");
+        let samples = scraped(&board, [News::Session(samples::cut_off())]);
+        check(&samples, "lodestone", &[("alive_processes{role=\"learner\"}", 0.0)]);
         assert!(!samples.keys().any(|sample| sample.starts_with("lodestone_actor_")), "{samples:#?}");
     }
 }

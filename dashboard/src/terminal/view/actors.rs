@@ -3,16 +3,20 @@
 use std::time::Duration;
 
 use proto::ActorId;
+use proto::metrics::ActorMetrics;
 use ratatui::text::Line;
 
 use super::controls::Order;
 use super::drops::total;
 use super::format::{age, count, rate};
 use super::styled::{alarm, columns, heading, plain};
-use crate::run_view::{Actor, Link, RunView};
+use crate::run_view::{Link, Newest, RunView};
 
 /// Width of an actor's name in characters.
 const NAME_WIDTH: usize = 20;
+
+/// An actor's newest metrics, if any.
+type Heard<'r> = Option<&'r Newest<ActorMetrics>>;
 
 /// Returns the heading, column names and as many actors as fit into `height` lines, live actors before lost ones.
 pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'static>> {
@@ -35,10 +39,10 @@ pub(super) fn lines(run: &RunView, now: Duration, height: usize) -> Vec<Line<'st
 
 /// Returns the heading and column names, and the rows of all actors in this order, live actors before lost ones.
 pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'static>>, Vec<Line<'static>>) {
-    let mut rows: Vec<(&ActorId, &Actor)> = run.actors.iter().collect();
+    let mut rows: Vec<(&ActorId, Heard<'_>)> = run.actors.iter().map(|(id, heard)| (id, heard.as_ref())).collect();
     // Actors without metrics come last; the largest number comes first.
-    let number = |actor: &Actor| -> f64 {
-        let Some(heard) = &actor.metrics else { return f64::NEG_INFINITY };
+    let number = |heard: Heard<'_>| -> f64 {
+        let Some(heard) = heard else { return f64::NEG_INFINITY };
         match order.by {
             1 => heard.value.env_steps_per_s,
             2 => heard.value.policy_lag as f64,
@@ -51,9 +55,8 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
     if order.is_reversed {
         rows.reverse();
     }
-    let (alive, lost): (Vec<_>, Vec<_>) = rows.into_iter().partition(|(_, actor)| actor.is_alive);
-    let steps_per_s: f64 =
-        alive.iter().filter_map(|(_, actor)| actor.metrics.as_ref()).map(|heard| heard.value.env_steps_per_s).sum();
+    let (alive, lost): (Vec<_>, Vec<_>) = rows.into_iter().partition(|(id, _)| run.is_alive(id));
+    let steps_per_s: f64 = alive.iter().filter_map(|(_, heard)| *heard).map(|heard| heard.value.env_steps_per_s).sum();
     let title = match run.link {
         Link::Lost => "Actors: unknown while the router is gone".to_owned(),
         _ => format!("Actors: {} alive, {} lost; {} steps/s", alive.len(), lost.len(), rate(steps_per_s)),
@@ -63,18 +66,18 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
         "  {:<NAME_WIDTH$} {:<5} {:>8} {:>8} {:>4} {:>9} {:>8}  heard",
         "actor", "", "steps/s", "weights", "lag", "accepted", "dropped"
     ));
-    let rows = alive.into_iter().chain(lost).map(|(id, actor)| row(id, actor, now)).collect();
+    let rows = alive.into_iter().chain(lost).map(|(id, heard)| row(id, heard, run.is_alive(id), now)).collect();
     (vec![title, heads], rows)
 }
 
-fn row(id: &ActorId, actor: &Actor, now: Duration) -> Line<'static> {
+fn row(id: &ActorId, heard: Heard<'_>, is_alive: bool, now: Duration) -> Line<'static> {
     let mut id = id.to_string();
     if id.len() > NAME_WIDTH {
         id.truncate(NAME_WIDTH - 1);
         id.push('~');
     }
-    let state = if actor.is_alive { "alive" } else { "lost" };
-    let text = match &actor.metrics {
+    let state = if is_alive { "alive" } else { "lost" };
+    let text = match heard {
         None => format!("  {id:<NAME_WIDTH$} {state:<5} has said nothing so far"),
         Some(heard) => {
             let metrics = &heard.value;
@@ -90,5 +93,5 @@ fn row(id: &ActorId, actor: &Actor, now: Duration) -> Line<'static> {
             )
         }
     };
-    if actor.is_alive { plain(text) } else { alarm(text) }
+    if is_alive { plain(text) } else { alarm(text) }
 }

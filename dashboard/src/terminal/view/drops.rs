@@ -25,7 +25,7 @@ pub(super) fn lines(run: &RunView, width: usize) -> Vec<Line<'static>> {
         drops.add_all("learner", &IngestCounts { full_total: 0, ..learner.ingest });
         drops.add_all("learner's bus", &learner.bus);
     }
-    for actor in run.actors.values().filter_map(|actor| actor.metrics.as_ref()) {
+    for actor in run.actors.values().flatten() {
         drops.add_all("actors", &actor.value.dropped);
         drops.add_all("actors' bus", &actor.value.bus);
     }
