@@ -19,6 +19,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::follow::{News, follow};
 use crate::run_view::{Link, RunView};
+pub use view::seconds;
 
 /// With `--once`, how long no message must arrive after the first summary before the state is printed.
 const QUIET: Duration = Duration::from_millis(300);

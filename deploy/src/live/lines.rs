@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use dashboard::terminal::seconds;
 use dashboard::{Sizes, waits};
 use evaluator::EvaluationProgress;
 use proto::metrics::{ActorMetrics, LearnerMetrics};
@@ -73,7 +74,7 @@ pub(super) fn parts(learner: &LearnerMetrics, context: &Context) -> Vec<String> 
     let (rate, steps_per_s) = (ppo.learning_rate, learner.env_steps_per_s);
     let mut pace = format!("lr {rate:.1e}  {steps_per_s:.0} steps/s  {} {actors}", context.n_actors);
     if let Some(left) = context.left_s {
-        pace += &format!("  {} left", duration(left));
+        pace += &format!("  {} left", seconds(left));
     }
     parts.push(pace);
     parts
@@ -100,16 +101,7 @@ pub(super) fn so_far(progress: &EvaluationProgress, elapsed: Duration) -> String
     }
     let percent = 100.0 * n_successes as f64 / n_ended as f64;
     let left_s = elapsed.as_secs_f64() * n_planned.saturating_sub(n_ended) as f64 / n_ended as f64;
-    format!("success {percent:.1} %  {} left", duration(left_s))
-}
-
-/// Formats a duration as `40 s`, `12 min`, or `3.5 h`.
-pub(super) fn duration(seconds: f64) -> String {
-    match seconds {
-        s if s < 90.0 => format!("{s:.0} s"),
-        s if s < 5400.0 => format!("{:.0} min", s / 60.0),
-        s => format!("{:.1} h", s / 3600.0),
-    }
+    format!("success {percent:.1} %  {} left", seconds(left_s))
 }
 
 #[cfg(test)]
@@ -186,7 +178,6 @@ mod tests {
         assert_eq!(pace.left_s(&learner, 3000), Some(100.0));
         (learner.n_env_steps, learner.elapsed_s) = (4000, 200.0);
         assert_eq!(pace.left_s(&learner, 3000), Some(0.0));
-        assert_eq!([40.0, 720.0, 12_600.0].map(duration), ["40 s", "12 min", "3.5 h"]);
     }
 
     #[test]

@@ -22,8 +22,8 @@ pub(super) fn span(time: Duration) -> String {
     }
 }
 
-/// Formats seconds from a message as a duration; any `f64` is accepted.
-pub(super) fn seconds(seconds: f64) -> String {
+/// Formats seconds in the largest unit of which there are at least two; any `f64` is accepted.
+pub fn seconds(seconds: f64) -> String {
     Duration::try_from_secs_f64(seconds).map_or_else(|_| format!("{seconds:e} s"), span)
 }
 

@@ -19,6 +19,7 @@ use ratatui::text::{Line, Text};
 use crate::run_view::RunView;
 
 pub(crate) use controls::{Controls, ends};
+pub use format::seconds;
 
 use controls::Part;
 use styled::plain;
