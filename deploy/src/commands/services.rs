@@ -125,11 +125,10 @@ pub(super) async fn run_evaluator(
     let farewell = Farewell { ended: "the evaluator", command };
     let preset = settings.preset.map(|preset| preset.name.to_owned());
     let page = page.map(|page| (page, About { preset, ..about(config, None, &setup.catalog, farewell) }));
-    let (reports, evaluated) = watch::channel(None);
+    let listeners = Listeners::default();
+    let (evaluated, counted) = (listeners.reports.subscribe(), listeners.progress.subscribe());
     let shown = tokio::spawn(live::show_reports(evaluated, terminal.clone(), args.verbose));
-    let (progress, counted) = watch::channel(None);
     let counting = tokio::spawn(live::show_episodes(counted, "evaluated", terminal.clone(), || true));
-    let listeners = Listeners { reports, progress, ..Listeners::default() };
     let stop = Stop { now: shutdown.clone(), ..Stop::default() };
     let evaluate = async |bus: Bus| {
         let _told = AbortOnDropHandle::new(tokio::spawn(tell_of_learner(bus.clone())));

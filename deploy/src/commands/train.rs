@@ -117,8 +117,8 @@ pub(super) async fn run(
     health.joined(&bus);
     let actors = bus.alive(Role::Actor).await?;
     let (metrics, updates) = watch::channel(None);
-    let (reports, evaluated) = watch::channel(None);
-    let (progress, counted) = watch::channel(None);
+    let listeners = Listeners::default();
+    let (evaluated, counted) = (listeners.reports.subscribe(), listeners.progress.subscribe());
     let (last, last_weights) = watch::channel(None);
     let learner_is_done = move || last_weights.borrow().is_some();
     let mut views = JoinSet::new();
@@ -130,7 +130,6 @@ pub(super) async fn run(
         false => Box::new(Arrivals),
     };
     let options = services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
-    let listeners = Listeners { reports, progress, ..Listeners::default() };
     let services = Services { config, catalog: &goals.catalog, bus: &bus, folder: run_dir.path(), terminal, shutdown };
     let ended = services.run(options, last, listeners, page).await;
     bus.close().await;
