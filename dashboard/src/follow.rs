@@ -32,8 +32,7 @@ pub(crate) async fn follow(
     let mut metrics = bus.metrics_subscriber("**").await?;
     let members = [bus.alive(Role::Actor).await?, bus.alive(Role::Learner).await?, bus.alive(Role::Evaluator).await?];
     let [mut actors, mut learners, mut evaluators] = members.each_ref().map(AliveWatch::watch);
-    let mut was_connected = true;
-    let mut n_services = (0, 0);
+    let mut n_before = 0;
     let mut period = tokio::time::interval(PERIOD);
     loop {
         tokio::select! {
@@ -54,12 +53,12 @@ pub(crate) async fn follow(
             learners: learners.borrow_and_update().clone(),
             evaluators: evaluators.borrow_and_update().clone(),
         };
-        let (had, n_had) = (was_connected, n_services);
-        (was_connected, n_services) = (is_connected, (roster.learners.len(), roster.evaluators.len()));
-        if is_connected && (!had || n_services.0 > n_had.0 || n_services.1 > n_had.1) {
+        let n_services = if is_connected { roster.learners.len() + roster.evaluators.len() } else { 0 };
+        if n_services > n_before {
             // A service that has just reconnected may not publish for a long time.
             metrics.ask_latest().await?;
         }
+        n_before = n_services;
         let counts = bus.counts();
         tell(News::Session(SessionState { is_connected, roster, counts }), start.elapsed());
     }
