@@ -37,6 +37,11 @@ pub(crate) fn program() -> String {
     std::env::args_os().next().map_or_else(|| "lodestone".to_owned(), quoted)
 }
 
+/// A command of this program, of words that are already quoted.
+pub(crate) fn command(name: &str, words: impl IntoIterator<Item = String>) -> String {
+    [program(), name.to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+}
+
 #[cfg(test)]
 mod tests {
     use std::os::unix::ffi::OsStrExt;

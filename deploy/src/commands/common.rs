@@ -60,8 +60,7 @@ pub(super) async fn join_bus(config: &Valid<BusConfig>, shutdown: &CancellationT
 
 /// The command that serves the page of these runs.
 pub(super) fn serve_command(folders: &[PathBuf]) -> String {
-    let words = folders.iter().map(|folder| shell::path(folder));
-    [shell::program(), "serve".to_owned()].into_iter().chain(words).collect::<Vec<_>>().join(" ")
+    shell::command("serve", folders.iter().map(|folder| shell::path(folder)))
 }
 
 /// Threads that step worlds: as many as requested, or one per core available to this process.

@@ -1,10 +1,10 @@
 //! `play`: a web page on which a policy builds.
 
 use std::io::IsTerminal;
-use std::net::{Ipv4Addr, SocketAddr};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
+use dashboard::config::WebConfig;
 use dashboard::{About, Farewell, Finished, Kind, ShownRun};
 use proto::Valid;
 use tokio::sync::watch;
@@ -22,7 +22,7 @@ use crate::shell;
 
 /// The configuration of the worlds and of the page.
 pub(super) fn configure(source: &Source, args: &PlayArgs) -> Result<Valid<Config>, Failure> {
-    let page = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
+    let page = args.web.unwrap_or(WebConfig::default().listen);
     let mut overrides = vec![Override::flag("--web", "dashboard.web.listen", page.to_string())];
     for text in &args.set {
         overrides.push(Override::parse(text)?);
@@ -93,11 +93,5 @@ fn command(args: &PlayArgs) -> String {
     let checkpoint = args.checkpoint.iter().flat_map(|path| ["--checkpoint".to_owned(), shell::path(path)]);
     let ids = args.ids.iter().map(|id| shell::path(id.as_ref()));
     let files = args.blueprint.iter().flat_map(|file| ["--blueprint".to_owned(), shell::path(file.as_ref())]);
-    [shell::program(), "play".to_owned()]
-        .into_iter()
-        .chain(checkpoint)
-        .chain(ids)
-        .chain(files)
-        .collect::<Vec<_>>()
-        .join(" ")
+    shell::command("play", checkpoint.chain(ids).chain(files))
 }

@@ -2,7 +2,6 @@
 
 use proto::Valid;
 use std::collections::BTreeMap;
-use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -59,8 +58,9 @@ pub(super) async fn run(args: &ServeArgs, terminal: &Terminal, shutdown: Cancell
         terminal.print(&format!("wrote {n_files} files to {}; any web server can serve them", folder.display()));
         return Ok(());
     }
-    let listen = args.web.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
-    let web = WebConfig { listen, token: args.token.clone().map(Into::into), ..WebConfig::default() };
+    let default = WebConfig::default();
+    let listen = args.web.unwrap_or(default.listen);
+    let web = WebConfig { listen, token: args.token.clone().map(Into::into), ..default };
     let web = Valid::new(web).map_err(|error| Failure::Usage(format!("{error} (here: --web and --token)")))?;
     let page = Page::bind(&web).await?;
     terminal.print(&format!("page at http://{}\nCtrl-C ends", page.address()));
