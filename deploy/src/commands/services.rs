@@ -230,18 +230,19 @@ pub(super) async fn evaluator(
         let newest = listeners.weights.subscribe();
         keeping = Some(tokio::spawn(best::keep(verdicts, newest, n_env_steps, setup.policy.clone(), paths)));
     }
-    let (sender, evaluations) = mpsc::unbounded_channel();
-    listeners.evaluations = sender;
     let shown = page.map(|(page, about)| {
+        let (sender, evaluations) = mpsc::unbounded_channel();
+        listeners.evaluations = sender;
         let weights = listeners.weights.subscribe();
         let (policy, run) = (setup.policy.clone(), setup.records.clone());
         let stage = Some(stage(setup.environment.clone(), policy.clone(), weights.clone(), run.clone()));
-        (page, ShownRun { about, evaluations: Vec::new(), learner: Vec::new(), run, policy, weights, stage })
+        let run = ShownRun { about, evaluations: Vec::new(), learner: Vec::new(), run, policy, weights, stage };
+        (page, run, evaluations)
     });
     let now = stop.now.clone();
     let serving = async {
         match shown {
-            Some((page, run)) => page.serve(&bus, run, evaluations).await.inspect_err(|_| now.cancel()),
+            Some((page, run, evaluations)) => page.serve(&bus, run, evaluations).await.inspect_err(|_| now.cancel()),
             None => Ok(()),
         }
     };

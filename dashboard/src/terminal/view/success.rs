@@ -3,7 +3,6 @@
 use std::time::Duration;
 
 use proto::metrics::{EvalBlueprint, EvalGroup, EvalSummary};
-use proto::wilson::SuccessRate;
 use ratatui::text::Line;
 
 use super::controls::Order;
@@ -89,19 +88,13 @@ pub(super) fn table(run: &RunView, now: Duration, order: Order) -> (Vec<Line<'st
 /// Lists the worst and the best blueprints with greedy actions, or with sampled actions if no greedy episodes were run.
 /// Each line lists as many as fit. No blueprint is in both lines, and the best have at least one success.
 fn extremes(blueprints: &[&EvalBlueprint], summary: &EvalSummary, width: usize) -> Vec<Line<'static>> {
-    let is_greedy = summary.all.greedy.success.n_episodes > 0;
-    let rate = |blueprint: &EvalBlueprint| -> SuccessRate {
-        if is_greedy { blueprint.greedy.success } else { blueprint.sampled.success }
-    };
-    let mut ranked: Vec<(f64, &str)> = blueprints
-        .iter()
-        .filter(|blueprint| rate(blueprint).n_episodes > 0)
-        .map(|blueprint| (rate(blueprint).rate, blueprint.blueprint.as_str()))
-        .collect();
+    let rate = |of: &&EvalBlueprint| success_rate(&of.greedy, &of.sampled);
+    let mut ranked: Vec<(f64, &str)> =
+        blueprints.iter().filter_map(|of| Some((rate(of)?, of.blueprint.as_str()))).collect();
     ranked.sort_by(|left, right| left.0.total_cmp(&right.0).then(left.1.cmp(right.1)));
     let n_worst = ranked.len().div_ceil(2);
     let (worst, best) = ranked.split_at(n_worst);
-    let way = if is_greedy { "" } else { " sampled" };
+    let way = if summary.all.greedy.success.n_episodes > 0 { "" } else { " sampled" };
     let mut lines = Vec::new();
     if !worst.is_empty() {
         lines.push(plain(row(&format!("  worst{way}"), worst.iter(), width)));
