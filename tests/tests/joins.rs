@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use bus::{Bus, BusConfig, BusMode, JoinCounts, SecurityConfig};
 use quinn::crypto::rustls::QuicClientConfig;
+use quinn::rustls;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tempfile::TempDir;
