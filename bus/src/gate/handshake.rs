@@ -5,8 +5,6 @@ use std::path::Path;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::UnixStream;
-use zenoh_buffers::ZBuf;
-use zenoh_buffers::reader::HasReader;
 use zenoh_codec::{RCodec, Zenoh080};
 use zenoh_protocol::common::{ZExtBody, ZExtUnknown, iext};
 use zenoh_protocol::transport::{TransportBody, TransportMessage};
@@ -51,8 +49,8 @@ async fn read_batch(stream: &mut (impl AsyncReadExt + Unpin)) -> io::Result<Vec<
 
 /// The first message of a batch, which is the one that zenoh reads while a session begins.
 fn message(batch: &[u8]) -> Option<TransportBody> {
-    let content = ZBuf::from(batch.get(2..)?.to_vec());
-    let message: TransportMessage = Zenoh080::new().read(&mut content.reader()).ok()?;
+    let mut content = batch.get(2..)?;
+    let message: TransportMessage = Zenoh080::new().read(&mut content).ok()?;
     Some(message.body)
 }
 
@@ -60,10 +58,11 @@ fn message(batch: &[u8]) -> Option<TransportBody> {
 fn user(batch: &[u8]) -> Option<Vec<u8>> {
     let Some(TransportBody::OpenSyn(open)) = message(batch) else { return None };
     let codec = Zenoh080::new();
-    let extensions: Vec<ZExtUnknown> = codec.read(&mut open.ext_auth?.value.reader()).ok()?;
+    let proofs = open.ext_auth?.value.to_zslice();
+    let extensions: Vec<ZExtUnknown> = codec.read(&mut &*proofs).ok()?;
     let proof = extensions.into_iter().find(|extension| extension.id & iext::ID_MASK == USER_PASSWORD)?;
     let ZExtBody::ZBuf(content) = proof.body else { return None };
-    codec.read(&mut content.reader()).ok()
+    codec.read(&mut &*content.to_zslice()).ok()
 }
 
 #[cfg(test)]
