@@ -1,9 +1,7 @@
 //! Distinguishes retries from first attempts.
 
-use std::collections::BTreeSet;
-use std::num::NonZeroUsize;
+use std::collections::{BTreeMap, BTreeSet};
 
-use lru::LruCache;
 use proto::ActorId;
 
 /// One process of an actor: its name and start time.
@@ -13,7 +11,7 @@ pub(super) type Sender = (ActorId, u64);
 const WINDOW: u64 = 1024;
 
 /// Senders remembered; far more than a router's sessions, so that only processes that ended long ago are forgotten.
-const MAX_SENDERS: NonZeroUsize = NonZeroUsize::new(16_384).expect("above 0");
+const MAX_SENDERS: usize = 16_384;
 
 /// The state of a sequence number.
 #[derive(Debug, PartialEq, Eq)]
@@ -27,18 +25,22 @@ pub(super) enum Seen {
 }
 
 /// The sequence numbers recently taken from each sender, in bounded memory.
-#[derive(Debug)]
-pub(super) struct Repeats(LruCache<Sender, BTreeSet<u64>>);
+#[derive(Debug, Default)]
+pub(super) struct Repeats {
+    senders: BTreeMap<Sender, Recent>,
+    n_taken: u64,
+}
 
-impl Default for Repeats {
-    fn default() -> Self {
-        Self(LruCache::new(MAX_SENDERS))
-    }
+#[derive(Debug, Default)]
+struct Recent {
+    numbers: BTreeSet<u64>,
+    /// How many were taken from all senders when the last one was taken from this one.
+    last: u64,
 }
 
 impl Repeats {
     pub(super) fn look_up(&self, sender: &Sender, seq: u64) -> Seen {
-        let Some(numbers) = self.0.peek(sender) else { return Seen::New };
+        let Some(Recent { numbers, .. }) = self.senders.get(sender) else { return Seen::New };
         if numbers.contains(&seq) {
             return Seen::Taken;
         }
@@ -47,11 +49,19 @@ impl Repeats {
     }
 
     pub(super) fn remember(&mut self, sender: Sender, seq: u64) {
-        let numbers = self.0.get_or_insert_mut(sender, BTreeSet::new);
+        self.n_taken += 1;
+        let Recent { numbers, last } = self.senders.entry(sender).or_default();
+        *last = self.n_taken;
         numbers.insert(seq);
         let newest = numbers.last().copied().unwrap_or(seq);
         // Keeps the numbers newest − WINDOW + 1 ..= newest.
         *numbers = numbers.split_off(&newest.saturating_sub(WINDOW - 1));
+        if self.senders.len() > MAX_SENDERS
+            && let Some((silent, _)) = self.senders.iter().min_by_key(|(_, recent)| recent.last)
+        {
+            let silent = silent.clone();
+            self.senders.remove(&silent);
+        }
     }
 }
 
@@ -79,14 +89,14 @@ mod tests {
     #[test]
     fn least_recently_used_sender_is_forgotten() {
         let mut repeats = Repeats::default();
-        for epoch in 0..MAX_SENDERS.get() as u64 {
+        for epoch in 0..MAX_SENDERS as u64 {
             repeats.remember(sender("a", epoch), 0);
         }
         // Only what is taken counts as use: a stranger's questions keep nobody remembered.
         repeats.remember(sender("a", 0), 1);
         assert_eq!(repeats.look_up(&sender("a", 1), 0), Seen::Taken);
         repeats.remember(sender("b", 0), 0);
-        assert_eq!(repeats.0.len(), MAX_SENDERS.get());
+        assert_eq!(repeats.senders.len(), MAX_SENDERS);
         assert_eq!(repeats.look_up(&sender("a", 0), 0), Seen::Taken);
         assert_eq!(repeats.look_up(&sender("a", 1), 0), Seen::New);
     }

@@ -2,20 +2,19 @@
 
 use std::cell::RefCell;
 use std::cmp::Ordering;
-use std::collections::BTreeSet;
-use std::num::NonZeroUsize;
+use std::collections::{BTreeMap, BTreeSet};
 
 use blueprints::hash::fnv1a;
-use lru::LruCache;
 
 /// A unit cell, by its lowest corner, in units (0.1 m).
 pub(super) type Cell = [i32; 3];
 
-/// Pairs of pieces that a thread remembers. An episode meets a few dozen, and a search takes up to a millisecond.
-const REMEMBERED: NonZeroUsize = NonZeroUsize::new(8192).expect("above 0");
+/// Pairs of pieces that a thread remembers before it begins anew. An episode meets a few dozen, and a search takes up to
+/// a millisecond.
+const REMEMBERED: usize = 8192;
 
 thread_local! {
-    static KNOWN: RefCell<LruCache<[u64; 2], Option<Cell>>> = RefCell::new(LruCache::new(REMEMBERED));
+    static KNOWN: RefCell<BTreeMap<[u64; 2], Option<Cell>>> = const { RefCell::new(BTreeMap::new()) };
 }
 
 /// Returns the direction, with entries −1, 0, and 1, in which piece `a` leaves piece `b` without touching it and which
@@ -25,7 +24,12 @@ thread_local! {
 /// Of two directions, the better one has the larger least component along the normals of the common faces, then the
 /// larger sum of them; of equal ones, the shorter. The cells of each piece are in the frame of the blueprint.
 pub(super) fn opening(a: &Shape, b: &Shape) -> Option<Cell> {
-    KNOWN.with_borrow_mut(|known| *known.get_or_insert([a.key, b.key], || search(&a.cells, &b.cells)))
+    KNOWN.with_borrow_mut(|known| {
+        if known.len() == REMEMBERED {
+            known.clear();
+        }
+        *known.entry([a.key, b.key]).or_insert_with(|| search(&a.cells, &b.cells))
+    })
 }
 
 /// The cells of a piece.
