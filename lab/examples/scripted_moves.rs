@@ -12,11 +12,11 @@ use std::collections::BTreeMap;
 use anyhow::Context as _;
 use blueprints::{BlockIdx, Catalog, Split};
 use environment::{Env, World, sample_assignment};
+use policy::distribution::unit_normal;
 use policy::proposals::{Kind, Proposals, Slot};
 use proto::{Action, Joint, Observation, Start, Status, Task, Valid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 
 /// Number of steps after which another link is tried.
 const PATIENCE: u32 = 12;
@@ -74,11 +74,7 @@ fn play(world: &mut World, rng: &mut ChaCha8Rng, score: &mut Score) {
         for (choice, (block, slot)) in action.choices.iter_mut().zip(draws) {
             *choice = Some(block);
             let Some(proposal) = proposals.get(block, slot) else { continue };
-            let noisy = |x: f32, rng: &mut ChaCha8Rng| {
-                let z: f32 = StandardNormal.sample(rng);
-                x + proposal.noise() * z
-            };
-            action.moves[block.get()] = proposal.movement.map(|x| noisy(x, rng));
+            action.moves[block.get()] = proposal.movement.map(|x| x + proposal.noise() * unit_normal(rng));
         }
         let result = world.step(&action);
         let (scene, goal) = (world.scene(), world.blueprint());

@@ -5,10 +5,10 @@
 //! counts its move once. [`crate::loss_terms`] has the tensor version.
 
 use blueprints::{BlockIdx, N_BLOCKS};
+use burn::tensor::Distribution;
 use proto::{Action, Move, N_GRIPPERS};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 
 /// Logit of a block that may not be chosen.
 pub const MASKED_LOGIT: f32 = -1e9;
@@ -49,10 +49,7 @@ impl<'a> ActionDistribution<'a> {
         for (choice, logits) in choices.iter_mut().zip(self.logits.chunks_exact(N_BLOCKS)) {
             *choice = Some(draw(&log_softmax(logits), rng.random())?);
         }
-        let moves = self.moves(|loc, scale| {
-            let noise: f32 = StandardNormal.sample(rng);
-            loc + scale * noise
-        });
+        let moves = self.moves(|loc, scale| loc + scale * unit_normal(rng));
         Some(Action { choices, moves })
     }
 
@@ -97,6 +94,11 @@ impl<'a> ActionDistribution<'a> {
         let mut entry_at = |at: usize| entry(self.locs[at], self.scales[at]);
         std::array::from_fn(|b| std::array::from_fn(|k| entry_at(b * MOVE + k)))
     }
+}
+
+/// Draws from the normal distribution with mean 0 and standard deviation 1.
+pub fn unit_normal(rng: &mut ChaCha8Rng) -> f32 {
+    Distribution::Normal(0.0, 1.0).sampler(rng).sample()
 }
 
 /// Masks the logits of blocks that may not be chosen.

@@ -11,9 +11,10 @@ use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+
+use crate::distribution::unit_normal;
 
 /// Number of values that a digest takes at a time.
 const BLOCK: usize = 1024;
@@ -149,7 +150,7 @@ const TRUNCATED_STD: f32 = 0.879_625_7;
 
 fn truncated_normal(rng: &mut ChaCha8Rng) -> f32 {
     loop {
-        let x: f32 = StandardNormal.sample(rng);
+        let x = unit_normal(rng);
         if x.abs() <= 2.0 {
             return x;
         }

@@ -4,11 +4,11 @@
 
 use blueprints::{BlockIdx, N_BLOCKS};
 use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use policy::distribution::unit_normal;
 use policy::proposals::{N_RELATION, N_SLOTS, Slot};
 use proto::{Action, N_GRIPPERS};
 use pyo3::exceptions::PyValueError;
 use pyo3::{Bound, PyResult, Python};
-use rand_distr::{Distribution, StandardNormal};
 
 use crate::row::Row;
 
@@ -113,7 +113,7 @@ pub(crate) fn action(row: &mut Row, picks: &[Option<Pick>; N_GRIPPERS], is_noisy
         let Some(proposal) = row.proposals().get(block, slot) else { continue };
         let noise = if is_noisy { proposal.noise() } else { 0.0 };
         action.moves[block.get()] = proposal.movement.map(|mean| {
-            let normal: f32 = if is_noisy { StandardNormal.sample(&mut row.noise) } else { 0.0 };
+            let normal = if is_noisy { unit_normal(&mut row.noise) } else { 0.0 };
             (mean + noise * normal).clamp(-1.0, 1.0)
         });
     }

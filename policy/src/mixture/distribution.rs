@@ -4,10 +4,9 @@ use blueprints::{BlockIdx, N_BLOCKS};
 use proto::{Action, ActionMode, Move, N_GRIPPERS};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution as _, StandardNormal};
 
 use super::{ActionRows, Draw, Row};
-use crate::distribution::MASKED_LOGIT;
+use crate::distribution::{MASKED_LOGIT, unit_normal};
 use crate::proposals::{Proposals, Slot};
 
 /// The distribution for one scene with G grippers; borrows one row of the network's output.
@@ -136,7 +135,7 @@ impl MixtureDistribution<'_> {
         let mut normal = || -> f32 {
             match mode {
                 ActionMode::Greedy => 0.0,
-                ActionMode::Sampled => StandardNormal.sample(rng),
+                ActionMode::Sampled => unit_normal(rng),
             }
         };
         let proposal = self.proposals.get(draw.block, draw.slot)?;
