@@ -169,9 +169,9 @@ enum Sent {
 async fn send(shared: &Shared, segment: &Trajectory) -> Sent {
     for _ in 0..MAX_ATTEMPTS {
         match shared.sender.send(segment).await {
-            Ok(ack) => {
+            Ok(newest) => {
                 shared.n_acked.fetch_add(1, Ordering::Relaxed);
-                shared.learner_version.store(ack.weights_version.0, Ordering::Relaxed);
+                shared.learner_version.store(newest.0, Ordering::Relaxed);
                 *shared.name_taken_since.lock() = None;
                 return Sent::Done;
             }

@@ -16,7 +16,7 @@ use self::repeats::{Repeats, Seen};
 use super::refusals::Refusals;
 use super::sender::ACK_SCHEMA;
 use super::{Bus, BusError};
-use proto::codec::{Ack, Refusal, Refused, TRAJECTORY_HEADER_BYTES, decode_trajectory, encode_ack, trajectory_actor};
+use proto::codec::{Refusal, TRAJECTORY_HEADER_BYTES, decode_trajectory, encode_ack, trajectory_actor};
 use proto::metrics::IngestCounts;
 use proto::{Trajectory, WeightsVersion, keys};
 use tokio_util::task::AbortOnDropHandle;
@@ -59,10 +59,10 @@ impl Bus {
         let worker = AbortOnDropHandle::new(tokio::spawn(async move {
             while let Some(query) = queries.recv().await {
                 let decision = server.decide(&query);
-                let weights_version = *current_version.borrow();
+                let newest = *current_version.borrow();
                 match decision {
-                    Ok(()) => acknowledge(&query, weights_version),
-                    Err(refusal) => refusals.refuse_in_turn(query, Refused { refusal, weights_version }).await,
+                    Ok(()) => acknowledge(&query, newest),
+                    Err(refusal) => refusals.refuse_in_turn(query, &refusal, newest).await,
                 }
             }
         }));
@@ -107,7 +107,7 @@ impl Inlet {
                 (unsent.into_inner(), Refusal::Full)
             }
         };
-        self.refusals.refuse(query, Refused { refusal, weights_version: *self.version.borrow() });
+        self.refusals.refuse(query, &refusal, *self.version.borrow());
     }
 }
 
@@ -190,10 +190,9 @@ enum Taken {
 }
 
 /// Acknowledges a trajectory. Does nothing if the actor is gone.
-fn acknowledge(query: &Query, weights_version: WeightsVersion) {
+fn acknowledge(query: &Query, newest: WeightsVersion) {
     let encoding = Encoding::APPLICATION_PROTOBUF.with_schema(ACK_SCHEMA);
-    let ack = encode_ack(Ack { weights_version });
-    if let Err(error) = query.reply(query.key_expr().clone(), ack).encoding(encoding).wait() {
+    if let Err(error) = query.reply(query.key_expr().clone(), encode_ack(newest)).encoding(encoding).wait() {
         tracing::debug!(key = %query.key_expr(), %error, "the answer to a trajectory was not sent");
     }
 }

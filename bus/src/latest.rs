@@ -13,8 +13,7 @@ use zenoh::query::{Query, Queryable};
 use super::refusals::Refusals;
 use super::turns::Turns;
 use super::{Bus, BusError};
-use proto::WeightsVersion;
-use proto::codec::{Refusal, Refused};
+use proto::codec::Refusal;
 use proto::metrics::BusCounts;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -98,7 +97,7 @@ impl Latest {
         let refusals = Refusals::start();
         let declared = bus.session.declare_queryable(key.clone()).complete(true).callback(move |query| {
             if let Some((query, refusal)) = shared.admit(query, &queue) {
-                refusals.refuse(query, Refused { refusal, weights_version: WeightsVersion::default() });
+                refusals.refuse(query, &refusal, Default::default());
             }
         });
         let queryable = declared.await.map_err(BusError::during(format!("declaring {key}")))?;

@@ -11,8 +11,8 @@ use zenoh::query::{ConsolidationMode, Querier};
 
 use super::matching::Matching;
 use super::{Bus, BusError, SendError};
-use proto::codec::{Ack, MAX_TRAJECTORY_BYTES, decode_ack, decode_refused, encode_trajectory};
-use proto::{ActorId, Trajectory, keys};
+use proto::codec::{MAX_TRAJECTORY_BYTES, decode_ack, decode_refusal, encode_trajectory};
+use proto::{ActorId, Trajectory, WeightsVersion, keys};
 
 /// Encoding schema of a trajectory.
 pub(super) const TRAJECTORY_SCHEMA: &str = "lodestone.v1.Trajectory";
@@ -75,14 +75,15 @@ impl Bus {
 }
 
 impl TrajectorySender {
-    /// Sends a trajectory and waits for the learner's answer, for up to 10 s.
+    /// Sends a trajectory and waits for the learner's answer, for up to 10 s: the version of its weights, once it has the
+    /// trajectory.
     ///
     /// While there are viewers, every attempt also sends them a copy.
     ///
     /// # Errors
     /// If the learner does not have the trajectory, or may not have it. After [`SendError::NoReply`] the same
     /// trajectory can be sent again: the learner takes it only once.
-    pub async fn send(&self, trajectory: &Trajectory) -> Result<Ack, SendError> {
+    pub async fn send(&self, trajectory: &Trajectory) -> Result<WeightsVersion, SendError> {
         let bytes = encode_trajectory(trajectory);
         if bytes.len() > MAX_TRAJECTORY_BYTES {
             return Err(SendError::TooLarge(bytes.len()));
@@ -101,7 +102,7 @@ impl TrajectorySender {
         match reply.result() {
             Ok(sample) => Ok(decode_ack(&sample.payload().to_bytes())?),
             Err(error) if *error.encoding() == Encoding::APPLICATION_PROTOBUF.with_schema(REFUSAL_SCHEMA) => {
-                Err(SendError::Refused(decode_refused(&error.payload().to_bytes())?.refusal))
+                Err(SendError::Refused(decode_refusal(&error.payload().to_bytes())?))
             }
             // Zenoh's error replies: a timeout, or a lost route to the learner.
             Err(_) => Err(SendError::NoReply),

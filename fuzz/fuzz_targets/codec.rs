@@ -21,10 +21,11 @@ fuzz_target!(|bytes: &[u8]| {
         |published| encode_weights(&published.weights, published.epoch),
     );
     round_trip(bytes, decode_notice, |notice| encode_notice(*notice));
-    round_trip(bytes, decode_ack, |ack| encode_ack(*ack));
+    round_trip(bytes, decode_ack, |version| encode_ack(*version));
     // The encoder truncates long explanations, so only its own output round-trips unchanged.
-    if let Ok(refused) = decode_refused(bytes) {
-        round_trip(&encode_refused(&refused), decode_refused, encode_refused);
+    if let Ok(refusal) = decode_refusal(bytes) {
+        let encode = |refusal: &Refusal| encode_refusal(refusal, Default::default());
+        round_trip(&encode(&refusal), decode_refusal, encode);
     }
 });
 

@@ -25,7 +25,7 @@ mod wire;
 
 pub use agent::{Agent, Decision, Observation};
 pub use canonical::{CanonicalSettings, NotCanonical, SettingsDifference, config_hash};
-pub use codec::{Ack, DecodeError, Refusal};
+pub use codec::{DecodeError, Refusal};
 pub use disturbance::{Disturbance, InvalidDisturbance};
 pub use keys::Role;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};

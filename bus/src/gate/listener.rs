@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use quinn::crypto::rustls::QuicServerConfig;
-use quinn::{EndpointConfig, Incoming, TokioRuntime, VarInt};
 use quinn::rustls::ServerConfig;
+use quinn::{EndpointConfig, Incoming, TokioRuntime, VarInt};
 use tokio::net::{TcpListener, TcpStream, lookup_host};
 use tokio_rustls::TlsAcceptor;
 

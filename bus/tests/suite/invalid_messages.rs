@@ -16,7 +16,7 @@ async fn refused(session: &zenoh::Session, key: &str, payload: &[u8]) -> Refusal
     let replies = session.get(format!("lodestone/default/{key}")).payload(payload).await.unwrap();
     let reply = within("a reply", replies.recv_async()).await.unwrap();
     let error = reply.into_result().unwrap_err();
-    codec::decode_refused(&error.payload().to_bytes()).unwrap().refusal
+    codec::decode_refusal(&error.payload().to_bytes()).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

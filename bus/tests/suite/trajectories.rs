@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use bus::{Bus, SendError, TrajectorySender};
-use proto::{Ack, ActorId, Refusal, Role, Valid, WeightsVersion};
+use proto::{ActorId, Refusal, Role, Valid, WeightsVersion};
 
 use crate::cluster::{Cluster, Learner, until, within};
 use crate::samples;
@@ -20,8 +20,7 @@ async fn trajectory_arrives_whole_and_is_acknowledged() {
     let learner = Learner::start(&cluster.client().await, |_| Ok(())).await;
     let sender = sender(&cluster.client().await, "a").await;
     for sent in [samples::running("a", 0), samples::successful("a", 1), samples::one_gripper("a", 2)] {
-        let ack = within("an ack", sender.send(&sent)).await.unwrap();
-        assert_eq!(ack, Ack { weights_version: WeightsVersion(12) });
+        assert_eq!(within("an ack", sender.send(&sent)).await.unwrap(), WeightsVersion(12));
         assert_eq!(learner.taken.lock().unwrap().last(), Some(&sent));
     }
     assert_eq!(learner.server.counts().accepted_total, 3);

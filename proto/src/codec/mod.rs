@@ -16,7 +16,7 @@ use prost::encoding::{DecodeContext, decode_key, skip_field};
 
 pub use error::DecodeError;
 pub use prost::bytes::Bytes;
-pub use reply::{Ack, Refusal, Refused, decode_ack, decode_refused, encode_ack, encode_refused};
+pub use reply::{Refusal, decode_ack, decode_refusal, encode_ack, encode_refusal};
 pub use trajectory::{
     MAX_RECORDING_BYTES, MAX_SEGMENT_STEPS, MAX_TRAJECTORY_BYTES, TRAJECTORY_HEADER_BYTES, decode_recording,
     decode_trajectory, encode_recording, encode_trajectory, trajectory_actor,

@@ -9,13 +9,6 @@ use crate::{WeightsVersion, wire};
 /// Maximum length of a refusal's explanation, in characters.
 const MAX_DETAIL_CHARS: usize = 500;
 
-/// Confirmation that the learner accepted the trajectory, now or on an earlier attempt.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ack {
-    /// Version of the learner's current weights.
-    pub weights_version: WeightsVersion,
-}
-
 /// The learner's reason for refusing a trajectory.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
@@ -33,62 +26,47 @@ pub enum Refusal {
     NameTaken,
 }
 
-/// A refusal with the learner's version.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Refused {
-    /// The reason.
-    pub refusal: Refusal,
-    /// Version of the learner's current weights.
-    pub weights_version: WeightsVersion,
+/// Encodes the confirmation that a learner with the weights `newest` has a trajectory.
+pub fn encode_ack(newest: WeightsVersion) -> Vec<u8> {
+    wire::Ack { protocol_version: PROTOCOL_VERSION, weights_version: newest.0 }.encode_to_vec()
 }
 
-/// Encodes an acknowledgement.
-pub fn encode_ack(ack: Ack) -> Vec<u8> {
-    wire::Ack { protocol_version: PROTOCOL_VERSION, weights_version: ack.weights_version.0 }.encode_to_vec()
-}
-
-/// Decodes an acknowledgement.
+/// Decodes a confirmation, and returns the version of the learner's weights.
 ///
 /// # Errors
-/// If the bytes are not an acknowledgement of this protocol version.
-pub fn decode_ack(bytes: &[u8]) -> Result<Ack, DecodeError> {
+/// If the bytes are not a confirmation of this protocol version.
+pub fn decode_ack(bytes: &[u8]) -> Result<WeightsVersion, DecodeError> {
     let ack: wire::Ack = parse("Ack", bytes, MAX_SMALL_BYTES)?;
     check_version(ack.protocol_version)?;
-    Ok(Ack { weights_version: WeightsVersion(ack.weights_version) })
+    Ok(WeightsVersion(ack.weights_version))
 }
 
-/// Encodes a refusal; an explanation over 500 characters is truncated.
-pub fn encode_refused(refused: &Refused) -> Vec<u8> {
-    let (reason, detail) = match &refused.refusal {
+/// Encodes a refusal by a learner with the weights `newest`; an explanation over 500 characters is truncated.
+pub fn encode_refusal(refusal: &Refusal, newest: WeightsVersion) -> Vec<u8> {
+    let (reason, detail) = match refusal {
         Refusal::Stale => (wire::RefusalReason::Stale, String::new()),
         Refusal::Full => (wire::RefusalReason::Full, String::new()),
         Refusal::NameTaken => (wire::RefusalReason::NameTaken, String::new()),
         Refusal::Invalid(detail) => (wire::RefusalReason::Invalid, detail.chars().take(MAX_DETAIL_CHARS).collect()),
     };
-    wire::Refusal {
-        protocol_version: PROTOCOL_VERSION,
-        weights_version: refused.weights_version.0,
-        reason: reason.into(),
-        detail,
-    }
-    .encode_to_vec()
+    wire::Refusal { protocol_version: PROTOCOL_VERSION, weights_version: newest.0, reason: reason.into(), detail }
+        .encode_to_vec()
 }
 
 /// Decodes a refusal.
 ///
 /// # Errors
 /// If the bytes are not a refusal of this protocol version, or the reason is unknown.
-pub fn decode_refused(bytes: &[u8]) -> Result<Refused, DecodeError> {
+pub fn decode_refusal(bytes: &[u8]) -> Result<Refusal, DecodeError> {
     let refusal: wire::Refusal = parse("Refusal", bytes, MAX_SMALL_BYTES)?;
     check_version(refusal.protocol_version)?;
-    let reason = match wire::RefusalReason::try_from(refusal.reason) {
-        Ok(wire::RefusalReason::Stale) => Refusal::Stale,
-        Ok(wire::RefusalReason::Full) => Refusal::Full,
-        Ok(wire::RefusalReason::Invalid) => Refusal::Invalid(refusal.detail),
-        Ok(wire::RefusalReason::NameTaken) => Refusal::NameTaken,
+    match wire::RefusalReason::try_from(refusal.reason) {
+        Ok(wire::RefusalReason::Stale) => Ok(Refusal::Stale),
+        Ok(wire::RefusalReason::Full) => Ok(Refusal::Full),
+        Ok(wire::RefusalReason::Invalid) => Ok(Refusal::Invalid(refusal.detail)),
+        Ok(wire::RefusalReason::NameTaken) => Ok(Refusal::NameTaken),
         Ok(wire::RefusalReason::Unspecified) | Err(_) => {
-            return Err(invalid("refusal.reason", refusal.reason, "a known reason"));
+            Err(invalid("refusal.reason", refusal.reason, "a known reason"))
         }
-    };
-    Ok(Refused { refusal: reason, weights_version: WeightsVersion(refusal.weights_version) })
+    }
 }

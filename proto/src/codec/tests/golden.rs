@@ -29,8 +29,7 @@ fn encoded_bytes_match_the_golden_file() {
     disturbed.transitions.truncate(1);
     disturbed.transitions[0].disturbance = Disturbance::new(samples::block(5), [0.5, 0.0, 0.25], [0.0, -1.5, 2.0]).ok();
     let version = WeightsVersion(300);
-    let refused = |refusal| Refused { refusal, weights_version: version };
-    let invalid = refused(Refusal::Invalid("seq is 1".into()));
+    let refused = |name, refusal| line(name, refusal, |refusal| encode_refusal(refusal, version), decode_refusal);
     let published = PublishedWeights { epoch: 77, weights: samples::weights(5) };
     let notice = WeightsNotice { epoch: 77, version };
     let lines = [
@@ -46,11 +45,11 @@ fn encoded_bytes_match_the_golden_file() {
             |bytes| decode_weights(Bytes::copy_from_slice(bytes)),
         ),
         line("notice", notice, |&n| encode_notice(n), decode_notice),
-        line("ack", Ack { weights_version: version }, |&a| encode_ack(a), decode_ack),
-        line("refusal-stale", refused(Refusal::Stale), encode_refused, decode_refused),
-        line("refusal-full", refused(Refusal::Full), encode_refused, decode_refused),
-        line("refusal-invalid", invalid, encode_refused, decode_refused),
-        line("refusal-name-taken", refused(Refusal::NameTaken), encode_refused, decode_refused),
+        line("ack", version, |&version| encode_ack(version), decode_ack),
+        refused("refusal-stale", Refusal::Stale),
+        refused("refusal-full", Refusal::Full),
+        refused("refusal-invalid", Refusal::Invalid("seq is 1".into())),
+        refused("refusal-name-taken", Refusal::NameTaken),
     ];
     let now = lines.concat();
     assert!(now == GOLDEN, "the bytes differ from tests/golden/v2.txt, they are now\n{now}");

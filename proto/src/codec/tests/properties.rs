@@ -13,7 +13,7 @@ fn decode_all(bytes: &[u8]) {
     let _ = decode_weights(Bytes::copy_from_slice(bytes));
     let _ = decode_notice(bytes);
     let _ = decode_ack(bytes);
-    let _ = decode_refused(bytes);
+    let _ = decode_refusal(bytes);
 }
 
 proptest! {
@@ -50,7 +50,7 @@ proptest! {
         let mut bytes = match which {
             0 => encode_trajectory(&samples::successful("a", 1)),
             1 => encode_weights(&samples::weights(3), 1),
-            _ => encode_refused(&Refused { refusal: Refusal::Invalid("x".into()), weights_version: WeightsVersion(1) }),
+            _ => encode_refusal(&Refusal::Invalid("x".into()), WeightsVersion(1)),
         };
         for (at, value) in changes {
             let at = at.index(bytes.len());

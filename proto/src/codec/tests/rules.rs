@@ -226,8 +226,8 @@ fn incomplete_messages_and_other_versions_are_refused() {
     assert!(error.starts_with("not a lodestone.v1.Trajectory: "), "{error}");
     assert_eq!(decode_ack(&[]).unwrap_err().to_string(), version(0));
     assert_eq!(decode_notice(&[]).unwrap_err().to_string(), version(0));
-    assert_eq!(decode_refused(&[8, 1]).unwrap_err().to_string(), version(1));
-    assert_eq!(decode_refused(&[8, 2]).unwrap_err().to_string(), "refusal.reason is 0, expected a known reason");
+    assert_eq!(decode_refusal(&[8, 1]).unwrap_err().to_string(), version(1));
+    assert_eq!(decode_refusal(&[8, 2]).unwrap_err().to_string(), "refusal.reason is 0, expected a known reason");
 }
 
 #[test]
