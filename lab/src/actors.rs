@@ -1,6 +1,7 @@
 //! `lab actors`: starts the processes, lets them run, and compares the counts of both ends.
 
 mod children;
+mod fingerprint;
 mod load;
 pub(crate) mod parts;
 mod record;

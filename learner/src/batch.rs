@@ -25,9 +25,9 @@ pub struct Batch {
     pub actions: Vec<Action>,
     /// Draws from the mixture head, one per sample; `None` for the Gaussian head.
     pub draws: Option<Vec<Draws>>,
-    /// [Fingerprints](Trajectory::fingerprint) of the trajectories that were left out: their actions are not among what
-    /// their scenes offer, or [`Self::refuse`] removed them.
-    pub refused: Vec<u64>,
+    /// Number of trajectories that were left out: their actions are not among what their scenes offer, or
+    /// [`Self::refuse`] removed them.
+    pub n_refused: usize,
     /// Log-probabilities under the acting weights, one per sample.
     pub behavior_log_probs: Vec<f32>,
     /// Rewards, one per sample.
@@ -37,7 +37,7 @@ pub struct Batch {
 }
 
 /// Consecutive samples of one episode.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Segment {
     /// The range of samples.
     pub samples: Range<usize>,
@@ -45,8 +45,10 @@ pub struct Segment {
     pub status: Status,
     /// Number of versions between the acting and the newest weights.
     pub policy_lag: u64,
-    /// [Fingerprint](Trajectory::fingerprint) of the trajectory.
-    pub fingerprint: u64,
+    /// The scene after the last sample.
+    pub last_scene: Scene,
+    /// The goal, permuted by the episode's assignment.
+    pub blueprint: Blueprint,
 }
 
 impl Batch {
@@ -62,17 +64,15 @@ impl Batch {
             features: FeatureBatch::of_policy(policy),
             actions: Vec::new(),
             draws: (policy.network.move_head == MoveHead::Mixture).then(Vec::new),
-            refused: Vec::new(),
+            n_refused: 0,
             behavior_log_probs: Vec::new(),
             rewards: Vec::new(),
             segments: Vec::new(),
         };
-        let mut last_scenes = Vec::new();
         for trajectory in trajectories {
             let Some(blueprint) = catalog.get(&trajectory.task.blueprint) else { continue };
             let blueprint = blueprint.permuted(&trajectory.task.assignment);
             let policy_lag = policy_lag(version, &trajectory);
-            let fingerprint = trajectory.fingerprint();
             let first = batch.actions.len();
             let is_offered = trajectory.transitions.iter().enumerate().all(|(t, transition)| {
                 batch.features.push(&Observation { scene: &transition.scene, blueprint: &blueprint });
@@ -84,15 +84,15 @@ impl Batch {
             });
             if !is_offered {
                 batch.truncate(first);
-                batch.refused.push(fingerprint);
+                batch.n_refused += 1;
                 continue;
             }
             let samples = first..batch.actions.len();
-            batch.segments.push(Segment { samples, status: trajectory.status, policy_lag, fingerprint });
-            last_scenes.push((trajectory.last_scene, blueprint));
+            let Trajectory { status, last_scene, .. } = trajectory;
+            batch.segments.push(Segment { samples, status, policy_lag, last_scene, blueprint });
         }
-        for (scene, blueprint) in &last_scenes {
-            batch.features.push(&Observation { scene, blueprint });
+        for segment in &batch.segments {
+            batch.features.push(&segment.last_observation());
         }
         batch
     }
@@ -137,7 +137,7 @@ impl Batch {
         let (mut rows, mut last) = (Vec::new(), Vec::new());
         for (at, (segment, is_sound)) in std::mem::take(&mut self.segments).into_iter().zip(sound).enumerate() {
             if !is_sound {
-                self.refused.push(segment.fingerprint);
+                self.n_refused += 1;
                 continue;
             }
             let first = rows.len();
@@ -188,6 +188,13 @@ impl Batch {
     }
 }
 
+impl Segment {
+    /// Returns what a policy sees after the last sample.
+    pub fn last_observation(&self) -> Observation<'_> {
+        Observation { scene: &self.last_scene, blueprint: &self.blueprint }
+    }
+}
+
 fn picked<T: Clone>(all: &[T], rows: &[usize]) -> Vec<T> {
     rows.iter().map(|&row| all[row].clone()).collect()
 }
@@ -215,7 +222,7 @@ mod tests {
             *(if is_value { &mut values[row] } else { &mut log_probs[row] }) = f32::NAN;
             let mut batch = of(&[0, 1, 2]);
             assert_eq!(batch.refuse(&values, &log_probs), 1);
-            assert_eq!(batch.refused, [segments[removed].fingerprint()]);
+            assert_eq!(batch.n_refused, 1);
             let kept: Vec<usize> = (0..3).filter(|at| *at != removed).collect();
             let expected = of(&kept);
             assert_eq!((&batch.segments, &batch.actions), (&expected.segments, &expected.actions));
@@ -224,7 +231,7 @@ mod tests {
         }
         let mut batch = of(&[0, 1, 2]);
         assert_eq!(batch.refuse(&[0.5; 9], &[f32::NAN; 6]), 0, "where all are such, the weights are at fault");
-        assert_eq!((batch.n_samples(), batch.refused.len()), (6, 0));
+        assert_eq!((batch.n_samples(), batch.n_refused), (6, 0));
     }
 
     #[test]

@@ -22,7 +22,7 @@ use crate::mailbox::{Mailbox, MailboxCounts};
 use crate::normalization::ValueStatistics;
 use crate::ppo::{Ppo, Trained};
 use crate::state::LearnerState;
-use crate::trial::Trial;
+use crate::trial;
 
 /// Number of scenes after which the feature statistics are frozen.
 const N_FEATURE_SCENES: u64 = 500_000;
@@ -225,12 +225,12 @@ impl Learner {
     }
 
     /// Returns why the weights of an update are of no use; `None` if policies can act with them.
-    pub(crate) fn refusal(&mut self, ppo: &PpoMetrics, trial: &Trial) -> Option<String> {
+    pub(crate) fn refusal(&mut self, ppo: &PpoMetrics, batch: &Batch) -> Option<String> {
         if ppo.n_skipped_steps > 0 && ppo.n_gradient_steps == 0 {
             return Some("no gradient was finite".to_owned());
         }
         let weights = self.weights();
-        trial.of(&weights, &mut self.tried).err().map(|error| error.to_string())
+        trial::act(&weights, &mut self.tried, &batch.segments).err().map(|error| error.to_string())
     }
 
     /// Takes an update back. Its randomness is used up, so that the next one draws other minibatches, and an adaptive
@@ -247,7 +247,7 @@ impl Learner {
 
     /// Counts an update, and tells the mailbox of its weights.
     pub(crate) fn count(&mut self, n_steps: u64, n_episodes: u64, batch: &Batch) {
-        self.n_unmade += batch.refused.len() as u64;
+        self.n_unmade += batch.n_refused as u64;
         self.state.n_updates += 1;
         self.state.n_env_steps += n_steps;
         self.state.n_episodes += n_episodes;

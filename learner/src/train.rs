@@ -25,7 +25,6 @@ use crate::episodes::episode_metrics;
 use crate::learner::Learner;
 use crate::metrics::UpdateResult;
 use crate::source::Source;
-use crate::trial::Trial;
 
 /// Number of updates in a row that may be taken back. A single one can come from an odd batch, which the next update
 /// does not have. After three, the settings are at fault, and waiting would only cost time.
@@ -97,7 +96,6 @@ impl Learner {
         }
         let episodes = episode_metrics(&trajectories);
         let n_steps = trajectories.iter().map(|trajectory| trajectory.transitions.len() as u64).sum();
-        let mut trial = Trial::new(&trajectories, &self.setup.catalog);
         self.record(&trajectories);
         let before = (self.ppo.trained(), self.state.clone());
 
@@ -109,8 +107,7 @@ impl Learner {
         self.adopt(statistics);
         self.state.version.0 += 1;
 
-        trial.leave_out(&batch.refused);
-        let refused = self.refusal(&learned.ppo, &trial);
+        let refused = self.refusal(&learned.ppo, &batch);
         if refused.is_some() {
             self.take_back(before);
         }

@@ -3,7 +3,6 @@
 use std::fmt;
 use std::str::FromStr;
 
-use blueprints::hash::fnv1a;
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use serde::{Deserialize, Serialize};
 
@@ -133,18 +132,6 @@ pub struct Trajectory {
     pub status: Status,
     /// Present if and only if the episode ended.
     pub episode_stats: Option<EpisodeStats>,
-}
-
-impl Trajectory {
-    /// Returns a hash of the sender and the sequence number. If two processes counted the same trajectories, their
-    /// wrapping sums of fingerprints are equal.
-    pub fn fingerprint(&self) -> u64 {
-        let text = self.actor.as_str().bytes();
-        let bytes = text.chain(self.epoch.to_le_bytes()).chain(self.seq.to_le_bytes());
-        // A final mix, because sums of the plain hash are too regular.
-        let hash = fnv1a(bytes);
-        (hash ^ (hash >> 32)).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-    }
 }
 
 /// A text that is not an actor name.

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
+use super::fingerprint::fingerprint;
 use super::weights::Moment;
 
 /// Interval at which the draining thread checks for shutdown while it waits for a batch.
@@ -44,7 +45,7 @@ pub(super) struct SinkReport {
     pub(super) waiting_total: u64,
     /// Number of updates.
     pub(super) updates_total: u64,
-    /// Wrapping sum of the [`Trajectory::fingerprint`]s of the accepted trajectories.
+    /// Wrapping sum of the [`fingerprint`]s of the accepted trajectories.
     pub(super) accepted_fingerprints: u64,
     /// The published weights, each with the time before its encoding.
     pub(super) published: Vec<Moment>,
@@ -83,9 +84,9 @@ impl Sink {
         let fingerprints = Arc::new(AtomicU64::new(0));
         let (inbox, sum) = (mailbox.clone(), fingerprints.clone());
         let handler = move |trajectory: Trajectory| {
-            let fingerprint = trajectory.fingerprint();
+            let own = fingerprint(&trajectory);
             inbox.push(trajectory)?;
-            sum.fetch_add(fingerprint, Ordering::Relaxed);
+            sum.fetch_add(own, Ordering::Relaxed);
             Ok(())
         };
         let mut sink = Self {

@@ -7,6 +7,7 @@ use proto::Trajectory;
 use serde::{Deserialize, Serialize};
 
 use super::histogram::Histogram;
+use crate::actors::fingerprint::fingerprint;
 use crate::actors::weights::Moment;
 
 /// Results of segments. Each segment that was started is in exactly one of `acked_total`, `stale_total`,
@@ -20,7 +21,7 @@ pub(crate) struct LoadCounts {
     pub(crate) acked_steps_total: u64,
     /// Encoded bytes of the acknowledged segments.
     pub(crate) acked_bytes_total: u64,
-    /// Wrapping sum of [`Trajectory::fingerprint`] over the acknowledged segments.
+    /// Wrapping sum of [`fingerprint`] over the acknowledged segments.
     pub(crate) acked_fingerprints: u64,
     /// Segments that the learner refused as stale.
     pub(crate) stale_total: u64,
@@ -107,7 +108,7 @@ impl Tally {
         counts.acked_total += 1;
         counts.acked_steps_total += segment.transitions.len() as u64;
         counts.acked_bytes_total += n_bytes as u64;
-        counts.acked_fingerprints = counts.acked_fingerprints.wrapping_add(segment.fingerprint());
+        counts.acked_fingerprints = counts.acked_fingerprints.wrapping_add(fingerprint(segment));
         counts.ack_latency.add(latency);
     }
 

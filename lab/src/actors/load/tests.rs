@@ -7,6 +7,7 @@ use proto::{Refusal, Weights, WeightsVersion};
 use tokio::sync::{mpsc, watch};
 
 use super::*;
+use crate::actors::fingerprint::fingerprint;
 use crate::actors::weights::Moment;
 
 #[path = "../../../../proto/src/codec/tests/samples.rs"]
@@ -105,7 +106,7 @@ async fn both_ends_count_the_same_segments() {
     assert_eq!((report.n_actors, report.counts.in_doubt_total, report.counts.unsent_total), (3, 0, 0));
     let ends = [report.counts.acked_total, counts.accepted_total, taken.len() as u64];
     assert_eq!(ends, [ends[0]; 3]);
-    let sum = taken.iter().fold(0_u64, |sum, trajectory| sum.wrapping_add(trajectory.fingerprint()));
+    let sum = taken.iter().fold(0_u64, |sum, trajectory| sum.wrapping_add(fingerprint(trajectory)));
     assert_eq!(report.counts.acked_fingerprints, sum);
     let n_steps: usize = taken.iter().map(|trajectory| trajectory.transitions.len()).sum();
     assert_eq!(report.counts.acked_steps_total, n_steps as u64);
