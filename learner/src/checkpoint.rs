@@ -143,8 +143,7 @@ impl Checkpoint {
     /// Reads a folder written by [`Checkpoint::write`].
     ///
     /// # Errors
-    /// [`CheckpointError::Damaged`] with the name of the damaged file, [`CheckpointError::Version`], or a file system
-    /// error.
+    /// [`CheckpointError::File`] with the first file that cannot be used, or a file system error.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let bytes = files::read(path, STATE, MAX_STATE_BYTES)?;
         parse::<FormatVersion>(path, STATE, &bytes)?.check().map_err(at(&path.join(STATE)))?;

@@ -12,7 +12,7 @@ use crate::checkpoint::{Checkpoint, CheckpointError, at, io};
 /// Reads a policy from a file; one that no policy of a permitted size fills is refused.
 ///
 /// # Errors
-/// [`CheckpointError::Io`], and those of [`Model::from_bytes`].
+/// [`CheckpointError::Io`], or [`CheckpointError::File`] with those of [`Model::from_bytes`].
 pub fn read_model(path: &Path) -> Result<Model, CheckpointError> {
     let bytes = outside::read(path, MAX_FILE_BYTES).map_err(io("reading", path))?;
     Model::from_bytes(&bytes).map_err(at(path))

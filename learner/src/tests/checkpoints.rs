@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use policy::ModelError;
 use proto::Weights;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -101,7 +102,8 @@ fn truncated_files_are_named() {
         for length in [0, 1, 7, 8, whole.len() / 3, whole.len() / 2, whole.len() - 9, whole.len() - 1] {
             fs::write(&file, &whole[..length]).unwrap();
             let error = Checkpoint::read(&path).unwrap_err();
-            assert!(matches!(&error, CheckpointError::Damaged(path, _) if path == &file), "{name} {length}: {error}");
+            let is_named = matches!(&error, CheckpointError::File(path, ModelError::Damaged(_)) if path == &file);
+            assert!(is_named, "{name} {length}: {error}");
             assert!(error.to_string().contains(name));
         }
         let mut flipped = whole.clone();
@@ -317,12 +319,12 @@ fn a_policy_of_a_kind_that_is_not_known_is_refused_by_the_setting() {
         (|header| header["policy"]["network"]["move_head"] = json!("splines"), "splines"),
     ] {
         let error = Model::from_bytes(&with_header(&bytes, change)).unwrap_err();
-        assert!(matches!(error, policy::ModelError::UnknownPolicy(_)), "{error}");
+        assert!(matches!(error, ModelError::UnknownPolicy(_)), "{error}");
         assert!(error.to_string().contains(setting), "{error}");
     }
     let newer = with_header(&bytes, |header| header["format_version"] = 5.into());
     let error = Model::from_bytes(&newer).unwrap_err().to_string();
-    assert!(error.contains("its format version is 5, and this program reads version 4"), "{error}");
+    assert!(error.contains("has format version 5, and this program reads version 4"), "{error}");
 }
 
 #[test]

@@ -10,20 +10,23 @@ use crate::PolicyConfig;
 /// would read other features ([`crate::config::FEATURE_LAYOUT`]).
 pub const FORMAT_VERSION: u32 = 4;
 
-/// Errors from writing or reading the bytes of a policy; whoever knows the file names it.
+/// Errors from writing or reading the bytes of a policy; whoever knows the file puts its name in front.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ModelError {
     /// They differ from what was written; why.
-    #[error("{0}")]
+    #[error("is damaged: {0}")]
     Damaged(String),
     /// Another version of the program wrote them.
-    #[error("its format version is {0}, and this program reads version {FORMAT_VERSION}")]
+    #[error(
+        "has format version {0}, and this program reads version {FORMAT_VERSION}; use the version of Lodestone that \
+         wrote it, or train anew"
+    )]
     Version(u32),
     /// The policy has settings that this version does not know, such as another kind of move head; which.
-    #[error("this version of Lodestone does not know its settings: {0}")]
+    #[error("holds a policy that this version of Lodestone does not know: {0}")]
     UnknownPolicy(String),
     /// The parameters do not match their table.
-    #[error("the parameters do not match their table: {0}")]
+    #[error("has parameters that do not match their table: {0}")]
     Mismatch(String),
 }
 
