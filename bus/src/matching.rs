@@ -1,11 +1,10 @@
-//! Whether a key has a matching subscriber or queryable.
+//! Whether a key has a matching queryable.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 use zenoh::Wait;
-use zenoh::pubsub::Publisher;
 use zenoh::query::Querier;
 
 use super::BusError;
@@ -15,37 +14,29 @@ use tokio_util::task::AbortOnDropHandle;
 /// says and drops the notification if they differ; under load the status may follow a moment later.
 const LOOK_PERIOD: Duration = Duration::from_secs(2);
 
-/// Follows the matching status of a querier or publisher.
+/// Follows the matching status of a querier.
 #[derive(Debug)]
 pub(super) struct Matching {
     status: watch::Receiver<bool>,
     _task: AbortOnDropHandle<()>,
 }
 
-/// Defines the same constructor for the two zenoh types that have a matching status but no common trait.
-macro_rules! follow {
-    ($name:ident, $type:ty) => {
-        pub(super) async fn $name(entity: Arc<$type>) -> Result<Self, BusError> {
-            let failed = || BusError::during(format!("watching who is at {}", entity.key_expr()));
-            let (notifier, changes) = mpsc::channel(1);
-            let notify = move |_| {
-                // One that waits stands for both.
-                let _ = notifier.try_send(());
-            };
-            entity.matching_listener().callback(notify).background().await.map_err(failed())?;
-            let now = entity.matching_status().await.map_err(failed())?.matching();
-            let (sender, status) = watch::channel(now);
-            let task = AbortOnDropHandle::new(tokio::spawn(async move {
-                follow(sender, changes, || Some(entity.matching_status().wait().ok()?.matching())).await;
-            }));
-            Ok(Self { status, _task: task })
-        }
-    };
-}
-
 impl Matching {
-    follow!(of_querier, Querier<'static>);
-    follow!(of_publisher, Publisher<'static>);
+    pub(super) async fn of(querier: Arc<Querier<'static>>) -> Result<Self, BusError> {
+        let failed = || BusError::during(format!("watching who is at {}", querier.key_expr()));
+        let (notifier, changes) = mpsc::channel(1);
+        let notify = move |_| {
+            // One that waits stands for both.
+            let _ = notifier.try_send(());
+        };
+        querier.matching_listener().callback(notify).background().await.map_err(failed())?;
+        let now = querier.matching_status().await.map_err(failed())?.matching();
+        let (sender, status) = watch::channel(now);
+        let task = AbortOnDropHandle::new(tokio::spawn(async move {
+            follow(sender, changes, || Some(querier.matching_status().wait().ok()?.matching())).await;
+        }));
+        Ok(Self { status, _task: task })
+    }
 
     pub(super) fn is_matching(&self) -> bool {
         *self.status.borrow()

@@ -34,8 +34,7 @@ pub struct TrajectorySender(Arc<Inner>);
 struct Inner {
     learner: Arc<Querier<'static>>,
     learner_there: Matching,
-    viewers: Arc<Publisher<'static>>,
-    viewers_there: Matching,
+    viewers: Publisher<'static>,
     bus: Bus,
 }
 
@@ -63,14 +62,9 @@ impl Bus {
             .encoding(Encoding::APPLICATION_PROTOBUF.with_schema(TRAJECTORY_SCHEMA))
             .await
             .map_err(failed())?;
-        let (learner, viewers) = (Arc::new(learner), Arc::new(viewers));
-        Ok(TrajectorySender(Arc::new(Inner {
-            learner_there: Matching::of_querier(learner.clone()).await?,
-            viewers_there: Matching::of_publisher(viewers.clone()).await?,
-            learner,
-            viewers,
-            bus: self.clone(),
-        })))
+        let learner = Arc::new(learner);
+        let learner_there = Matching::of(learner.clone()).await?;
+        Ok(TrajectorySender(Arc::new(Inner { learner, learner_there, viewers, bus: self.clone() })))
     }
 }
 
@@ -89,7 +83,8 @@ impl TrajectorySender {
             return Err(SendError::TooLarge(bytes.len()));
         }
         let payload = ZBytes::from(bytes);
-        if self.0.viewers_there.is_matching() && self.0.viewers.put(payload.clone()).await.is_err() {
+        // Zenoh sends it nowhere if nobody has subscribed.
+        if self.0.viewers.put(payload.clone()).await.is_err() {
             self.0.bus.counts.lock().views_failed_total += 1;
         }
         if !self.0.learner_there.is_matching() {
@@ -125,10 +120,5 @@ impl TrajectorySender {
         if self.watch_learner().wait_for(|&there| there).await.is_err() {
             std::future::pending::<()>().await;
         }
-    }
-
-    /// Returns a receiver of whether the actor's trajectories have viewers.
-    pub fn watch_viewers(&self) -> watch::Receiver<bool> {
-        self.0.viewers_there.watch()
     }
 }

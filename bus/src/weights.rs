@@ -62,7 +62,7 @@ impl Bus {
     pub async fn learner_watch(&self) -> Result<Followed<bool>, BusError> {
         let querier = self.session.declare_querier(keys::WEIGHTS_LATEST).await;
         let querier = querier.map_err(BusError::during("looking for a learner"))?;
-        let there = Matching::of_querier(Arc::new(querier)).await?;
+        let there = Matching::of(Arc::new(querier)).await?;
         Ok(Followed { value: there.watch(), _source: Box::new(there), _open: self.clone() })
     }
 
@@ -129,7 +129,7 @@ impl Bus {
             .await
             .map_err(failed())?;
         let learner = Arc::new(querier);
-        let learner_there = Matching::of_querier(learner.clone()).await?;
+        let learner_there = Matching::of(learner.clone()).await?;
         let (sender, weights) = watch::channel(None);
         let (counts, asker, keep) = (self.counts.clone(), self.asker(), Arc::new(keep));
         let puller = Puller { learner, learner_there, asker, notices, counts, held: None, told: None, keep, sender };
