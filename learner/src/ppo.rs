@@ -209,20 +209,13 @@ impl Ppo {
         order.shuffle(rng);
         let mut log_probs = vec![0.0; n_samples];
         for minibatch in pieces(&order, config.minibatch_size) {
-            let mut gradient = self.workers.zeros(self.parameters.len());
-            let mut samples = minibatch.iter();
-            let mut losses = LossSums::default();
-            for pass in self.workers.gradients(batch, minibatch, targets) {
-                gradient.iter_mut().zip(&pass.gradient).for_each(|(sum, g)| *sum += g);
-                self.workers.reuse(pass.gradient);
-                pass.log_probs.iter().zip(&mut samples).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
-                losses += pass.losses;
-            }
-            if self.step(&mut gradient, rate, config, steps) {
-                steps.losses += losses;
+            let mut pass = self.workers.gradient(batch, minibatch, targets);
+            pass.log_probs.iter().zip(minibatch).for_each(|(&log_prob, &sample)| log_probs[sample] = log_prob);
+            if self.step(&mut pass.gradient, rate, config, steps) {
+                steps.losses += pass.losses;
                 steps.n_samples += minibatch.len();
             }
-            self.workers.reuse(gradient);
+            self.workers.reuse(pass.gradient);
         }
         RatioStatistics::new(&log_probs, targets.reference, config.loss.clip_range)
     }

@@ -73,21 +73,21 @@ impl Workers {
         self.map(&pieces(&rows, PIECE_SIZE), |passes, rows, _| passes.engine.run(&batch.features, rows).values).concat()
     }
 
-    /// Computes gradients of the mean loss of `samples`, one for each piece; their sum is the whole gradient.
-    pub(super) fn gradients(&mut self, batch: &Batch, samples: &[usize], targets: &Targets<'_>) -> Vec<GradientPass> {
+    /// Computes the gradient of the mean loss of `samples`, piece by piece.
+    pub(super) fn gradient(&mut self, batch: &Batch, samples: &[usize], targets: &Targets<'_>) -> GradientPass {
         let share = 1.0 / samples.len() as f32;
-        self.map(&pieces(samples, PIECE_SIZE), |passes, piece, spares| {
+        let passes = self.map(&pieces(samples, PIECE_SIZE), |passes, piece, spares| {
             let spare = spares.lock().pop().unwrap_or_default();
             passes.gradient(batch, piece, targets, share, spare)
-        })
-    }
-
-    /// Returns a gradient of `n` zeros.
-    pub(super) fn zeros(&self, n: usize) -> Vec<f32> {
-        let mut gradient = self.spares.lock().pop().unwrap_or_default();
-        gradient.clear();
-        gradient.resize(n, 0.0);
-        gradient
+        });
+        let whole = passes.into_iter().reduce(|mut whole, piece| {
+            whole.gradient.iter_mut().zip(&piece.gradient).for_each(|(sum, g)| *sum += g);
+            self.reuse(piece.gradient);
+            whole.log_probs.extend(piece.log_probs);
+            whole.losses += piece.losses;
+            whole
+        });
+        whole.expect("there is at least one piece")
     }
 
     /// Keeps the memory of a gradient for the next one.
