@@ -16,7 +16,7 @@ const UNIT_TOLERANCE: f32 = 1e-3;
 /// Maximum number of characters of a text quoted in an error, so that no message can flood the log.
 const MAX_QUOTED_CHARS: usize = 80;
 
-pub(super) fn invalid(field: &'static str, value: impl ToString, expected: &'static str) -> DecodeError {
+pub(super) fn invalid(field: &'static str, value: impl ToString, expected: impl std::fmt::Display) -> DecodeError {
     let value: String = value.to_string().chars().take(MAX_QUOTED_CHARS).collect();
     DecodeError::Invalid(format!("{field} is {value}, expected {expected}"))
 }
@@ -52,7 +52,7 @@ pub(super) fn numbers<const N: usize>(field: &'static str, values: &[f32]) -> Re
 }
 
 pub(super) fn array<T: Copy, const N: usize>(field: &'static str, values: &[T]) -> Result<[T; N], DecodeError> {
-    values.try_into().map_err(|_| invalid(field, format!("{} values", values.len()), wanted_length(N)))
+    values.try_into().map_err(|_| invalid(field, format!("{} values", values.len()), format!("{N} values")))
 }
 
 pub(super) fn unit_quaternion(field: &'static str, values: &[f32]) -> Result<[f32; 4], DecodeError> {
@@ -85,15 +85,4 @@ pub(super) fn narrow<T: TryFrom<u32>>(
     expected: &'static str,
 ) -> Result<T, DecodeError> {
     T::try_from(value).map_err(|_| invalid(field, value, expected))
-}
-
-fn wanted_length(n: usize) -> &'static str {
-    match n {
-        3 => "3 values",
-        4 => "4 values",
-        16 => "16 values",
-        96 => "96 values",
-        112 => "112 values",
-        _ => "another number of values",
-    }
 }
