@@ -13,6 +13,7 @@ use zenoh::sample::SampleKind;
 use super::{Bus, BusConfig, BusError, Followed};
 use proto::Valid;
 use proto::keys::{self, Role};
+use proto::trajectory::is_valid_name;
 
 /// Maximum number of names followed per role; more than a router has sessions.
 pub(super) const MAX_NAMES: usize = 16_384;
@@ -122,7 +123,7 @@ impl Bus {
         let prefix = keys::live(role, "");
         let tokens = self.session.liveliness().declare_subscriber(keys::live(role, "*")).history(true);
         let subscriber = tokens.callback(move |sample| {
-            let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| keys::is_valid_run(name));
+            let name = sample.key_expr().as_str().strip_prefix(&prefix).filter(|name| is_valid_name(name));
             told(name, sample.kind() == SampleKind::Put);
         });
         subscriber.await
@@ -149,7 +150,7 @@ async fn ask_for_runs(bus: &Bus) -> Result<BTreeSet<String>, BusError> {
     while let Some(key) = next_token(&replies).await? {
         let name = key.split('/').next();
         // Any process may have declared the key.
-        names.extend(name.filter(|name| keys::is_valid_run(name) && names.len() < MAX_RUNS).map(str::to_owned));
+        names.extend(name.filter(|name| is_valid_name(name) && names.len() < MAX_RUNS).map(str::to_owned));
     }
     Ok(names)
 }
@@ -164,5 +165,5 @@ async fn next_token(replies: &FifoChannelHandler<Reply>) -> Result<Option<String
 
 /// Returns the key of the token of the process `id`.
 fn token_key(role: Role, id: &str) -> Result<String, BusError> {
-    if keys::is_valid_run(id) { Ok(keys::live(role, id)) } else { Err(BusError::Name(id.to_owned())) }
+    if is_valid_name(id) { Ok(keys::live(role, id)) } else { Err(BusError::Name(id.to_owned())) }
 }

@@ -8,7 +8,8 @@ use serde_json::json;
 use super::access;
 use super::security::{Keys, KeysError, SecurityConfig, has_any_port, is_encrypted, is_endpoint, is_reachable};
 use proto::codec::MAX_WEIGHTS_BYTES;
-use proto::{InvalidSetting, Valid, keys, settings};
+use proto::trajectory::is_valid_name;
+use proto::{InvalidSetting, Valid, settings};
 
 /// Time that a connection gets to become a member of the bus, in milliseconds; a router drops and counts the others.
 pub(super) const JOIN_TIMEOUT_MS: u64 = 4_000;
@@ -22,7 +23,7 @@ settings! {
     pub struct BusConfig in "bus", check endpoints {
         /// Name of the run; runs on one router do not see each other.
         pub run: String = "default".to_owned(),
-            where |c| keys::is_valid_run(&c.run) => "1 to 64 characters of a-z, 0-9 and -";
+            where |c| is_valid_name(&c.run) => "1 to 64 characters of a-z, 0-9 and -";
         /// Role in the network. A router needs no other process.
         pub mode: BusMode = BusMode::Router;
         /// Endpoints that a router listens on, such as `tcp/127.0.0.1:7447`, `unixsock-stream//tmp/bus.sock`, or, with

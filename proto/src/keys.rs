@@ -4,11 +4,6 @@
 
 use crate::ActorId;
 
-/// Returns whether `run` is a valid run name: 1 to 64 characters of `a-z`, `0-9`, `-`.
-pub fn is_valid_run(run: &str) -> bool {
-    (1..=64).contains(&run.len()) && run.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-')
-}
-
 /// The prefix of all keys of all runs.
 pub const ROOT: &str = "lodestone";
 

@@ -134,6 +134,11 @@ pub struct Trajectory {
     pub episode_stats: Option<EpisodeStats>,
 }
 
+/// Returns whether `name` is a valid name of a process or of a run: 1 to 64 characters of `a-z`, `0-9`, `-`.
+pub fn is_valid_name(name: &str) -> bool {
+    (1..=64).contains(&name.len()) && name.bytes().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-')
+}
+
 /// A text that is not an actor name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("actor name {0:?} is not 1 to 64 characters of a-z, 0-9 and -")]
@@ -143,12 +148,7 @@ impl TryFrom<String> for ActorId {
     type Error = InvalidActorId;
 
     fn try_from(name: String) -> Result<Self, InvalidActorId> {
-        let allowed = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit() || c == b'-';
-        if (1..=64).contains(&name.len()) && name.bytes().all(allowed) {
-            Ok(Self(name))
-        } else {
-            Err(InvalidActorId(name))
-        }
+        if is_valid_name(&name) { Ok(Self(name)) } else { Err(InvalidActorId(name)) }
     }
 }
 
