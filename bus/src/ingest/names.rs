@@ -1,7 +1,7 @@
 //! Ownership of actor names: if two live processes share a name, it belongs to the one whose trajectory was taken
 //! first.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use parking_lot::{Mutex, MutexGuard};
@@ -20,10 +20,9 @@ pub(super) struct Names {
 
 #[derive(Debug, Default)]
 pub(super) struct Register {
-    /// At most [`MAX_NAMES`]; further names are always accepted.
-    alive: BTreeSet<String>,
-    /// Start time of the process that owns each live name.
-    owners: BTreeMap<String, u64>,
+    /// Live names, each with the start time of its owner once it has one. At most [`MAX_NAMES`]; further names are
+    /// always accepted.
+    owners: BTreeMap<String, Option<u64>>,
 }
 
 impl Names {
@@ -49,25 +48,24 @@ impl Names {
 
 impl Register {
     fn add(&mut self, name: &str) {
-        if self.alive.len() < MAX_NAMES {
-            self.alive.insert(name.to_owned());
+        if self.owners.len() < MAX_NAMES {
+            self.owners.entry(name.to_owned()).or_default();
         }
     }
 
     fn remove(&mut self, name: &str) {
-        self.alive.remove(name);
         self.owners.remove(name);
     }
 
     /// Returns whether another live process owns the name.
     pub(super) fn is_taken(&self, actor: &ActorId, epoch: u64) -> bool {
-        self.owners.get(actor.as_str()).is_some_and(|&owner| owner != epoch)
+        self.owners.get(actor.as_str()).is_some_and(|owner| owner.is_some_and(|owner| owner != epoch))
     }
 
     /// Assigns the name to the process if it has no owner.
     pub(super) fn claim(&mut self, actor: &ActorId, epoch: u64) {
-        if self.alive.contains(actor.as_str()) {
-            self.owners.entry(actor.as_str().to_owned()).or_insert(epoch);
+        if let Some(owner) = self.owners.get_mut(actor.as_str()) {
+            owner.get_or_insert(epoch);
         }
     }
 }
@@ -84,6 +82,6 @@ mod tests {
             register.add(&name);
             register.claim(&name.parse().unwrap(), 1);
         }
-        assert_eq!((register.alive.len(), register.owners.len()), (MAX_NAMES, MAX_NAMES));
+        assert_eq!(register.owners.values().flatten().count(), MAX_NAMES);
     }
 }
