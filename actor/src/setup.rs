@@ -39,9 +39,6 @@ impl ActorSetup {
     }
 
     /// Checks that weights are of a run with these settings.
-    ///
-    /// # Errors
-    /// [`PolicyError::OtherSettings`] with the first difference.
     pub(crate) fn check(&self, weights: &Weights) -> Result<(), PolicyError> {
         policy::check_settings(weights.version, &weights.settings, &self.settings())
     }

@@ -116,9 +116,6 @@ impl BusConfig {
     }
 
     /// Reads and checks the keys of this process.
-    ///
-    /// # Errors
-    /// If a file is missing, malformed, or expired. The error names it.
     pub(super) fn read_keys(&self) -> Result<Option<Keys>, KeysError> {
         self.security.keys.as_deref().map(|folder| Keys::read(folder, self.is_listening())).transpose()
     }

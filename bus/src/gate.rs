@@ -64,9 +64,6 @@ impl Gate {
 
     /// Binds the public endpoints of `config`, and opens tunnels to the endpoints that it connects to over TCP.
     /// Returns `None` if zenoh can do everything itself.
-    ///
-    /// # Errors
-    /// If an endpoint cannot be bound, or the keys cannot be used.
     pub(super) async fn prepare(config: &BusConfig, keys: &Keys) -> Result<Option<Self>, BusError> {
         let is_router = !config.listen.is_empty();
         if !is_router && !config.connect.iter().any(|endpoint| is_tls(endpoint)) {

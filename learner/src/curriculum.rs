@@ -53,9 +53,6 @@ impl Curriculum {
     }
 
     /// Checks the numbers of a saved run; `path` is the key of this curriculum.
-    ///
-    /// # Errors
-    /// Returns the first rate or probability outside 0..=1, or the sum of the probabilities if it is not 1.
     pub(crate) fn check(&self, path: &str) -> Result<(), InvalidSetting> {
         for (id, task) in &self.tasks {
             for (key, share) in [("success_rate", task.success_rate), ("probability", task.probability)] {

@@ -40,9 +40,6 @@ impl ValueStatistics {
     }
 
     /// Checks the numbers of a saved run; `path` is the key of these statistics.
-    ///
-    /// # Errors
-    /// Returns the first number that no targets have.
     pub(crate) fn check(&self, path: &str) -> Result<(), InvalidSetting> {
         self.mean.check_in(&format!("{path}.mean"), &(..))?;
         self.std.check_in(&format!("{path}.std"), &above(0.0))?;

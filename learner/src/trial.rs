@@ -11,9 +11,6 @@ use crate::batch::Segment;
 const N_SCENES: usize = 16;
 
 /// Loads the weights into `policy`, and acts once after each of a few segments, evenly over the batch.
-///
-/// # Errors
-/// Why no policy can act with the weights.
 pub(crate) fn act(weights: &Weights, policy: &mut Policy, segments: &[Segment]) -> Result<(), PolicyError> {
     policy.load(weights)?;
     let every = segments.len().div_ceil(N_SCENES).max(1);

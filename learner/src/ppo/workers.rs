@@ -42,9 +42,6 @@ impl Workers {
     }
 
     /// Loads `parameters` into all networks.
-    ///
-    /// # Errors
-    /// If their number is wrong or one is not finite.
     pub(super) fn load(&mut self, parameters: &[f32]) -> Result<(), ParameterError> {
         let loaded = self.each(|passes, _| passes.engine.load(parameters));
         loaded.into_iter().collect()

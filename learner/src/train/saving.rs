@@ -24,9 +24,6 @@ impl Output {
     ///
     /// Returns when that is done: training waits for as long as nothing can be saved, because whatever it learns could
     /// be lost.
-    ///
-    /// # Errors
-    /// If the metrics cannot be serialized.
     pub(super) fn save(&mut self, learner: &Learner, has_diverged: bool) -> anyhow::Result<bool> {
         let is_due = !has_diverged && learner.n_updates().is_multiple_of(self.checkpoints.every_updates);
         if let Some(metrics) = &self.saving.metrics {
