@@ -72,27 +72,24 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
 
     let (publications, mut arrivals) = mpsc::channel(2);
     let (result, ended) = oneshot::channel();
-    let (counted, session) = (server.clone(), bus.clone());
     let before_s = options.resume.as_deref().map_or(0.0, |resume| elapsed_before(resume, learner.n_env_steps()));
     let mut records = MetricsWriter::open(&options.run_dir, Role::Learner)?;
     records.resume(learner.n_env_steps())?;
     if let Ok(settings) = outside::read_text(&options.run_dir.config(), MAX_CONFIG_BYTES) {
         records.settings(&settings)?;
     }
-    let RunOptions { setup, run_dir, max_env_steps, source, metrics_sender, save_retry, .. } = options;
+    let RunOptions { run_dir, max_env_steps, source, metrics_sender, save_retry, .. } = options;
     let output = Output {
         run_dir,
         records,
-        checkpoints: setup.config.checkpoints.clone(),
         saving: Saving::default(),
         save_retry,
-        batch_size: setup.config.batch_size,
         max_env_steps,
         publications,
         metrics_sender,
-        counts: Box::new(move || (counted.counts(), session.counts())),
+        server: server.clone(),
+        bus: bus.clone(),
         shutdown,
-        pulse: bus.pulse().clone(),
         clock: Clock::new(before_s),
         newest: Arc::new(learner.weights()),
     };

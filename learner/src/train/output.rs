@@ -5,15 +5,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use blueprints::outside::as_text;
-use bus::{Pulse, unix_ms};
-use proto::metrics::{BusCounts, IngestCounts, LearnerMetrics};
+use bus::{Bus, TrajectoryServer, unix_ms};
+use proto::metrics::LearnerMetrics;
 use proto::{Weights, WeightsVersion};
 use runlog::{Lines, MetricsWriter, RunPaths};
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::config::CheckpointConfig;
 use crate::learner::Learner;
 use crate::mailbox::MailboxCounts;
 
@@ -52,18 +51,16 @@ pub(crate) struct Publication {
 pub(crate) struct Output {
     pub(crate) run_dir: RunPaths,
     pub(crate) records: MetricsWriter,
-    pub(crate) checkpoints: CheckpointConfig,
     pub(crate) saving: Saving,
     pub(crate) save_retry: Duration,
-    /// Steps of an update, and of the run.
-    pub(crate) batch_size: usize,
+    /// Steps of the run.
     pub(crate) max_env_steps: Option<u64>,
     pub(crate) publications: mpsc::Sender<Publication>,
     /// Gets the metrics of every update too.
     pub(crate) metrics_sender: watch::Sender<Option<LearnerMetrics>>,
-    pub(crate) counts: Box<dyn Fn() -> (IngestCounts, BusCounts) + Send>,
+    pub(crate) server: Arc<TrajectoryServer>,
+    pub(crate) bus: Bus,
     pub(crate) shutdown: CancellationToken,
-    pub(crate) pulse: Pulse,
     pub(crate) clock: Clock,
     /// The learner's newest weights.
     pub(crate) newest: Arc<Weights>,
@@ -116,11 +113,11 @@ impl Clock {
 impl Output {
     /// Returns how many steps the next update takes; `None` if the run ends.
     pub(super) fn next_steps(&self, learner: &Learner) -> Option<usize> {
-        self.pulse.beat();
+        self.bus.pulse().beat();
         let n_left = self.max_env_steps.map(|max| max.saturating_sub(learner.n_env_steps()));
         // A closed channel means that the session failed; the run then ends with a checkpoint as usual.
         let is_over = n_left == Some(0) || self.is_stopped();
-        (!is_over).then(|| next_steps(self.batch_size, n_left))
+        (!is_over).then(|| next_steps(learner.setup.config.batch_size, n_left))
     }
 
     pub(super) fn is_stopped(&self) -> bool {
@@ -168,15 +165,14 @@ impl Output {
 
     /// Returns the metrics of an update with times and the counts of the bus.
     fn metrics(&self, update: &LearnerMetrics) -> LearnerMetrics {
-        let (ingest, bus) = (self.counts)();
         let Clock { start, update_start, last_update, .. } = &self.clock;
         LearnerMetrics {
             elapsed_s: start.elapsed().as_secs_f64(),
             run_elapsed_s: self.clock.run_elapsed_s(),
             env_steps_per_s: update.n_update_steps as f64 / last_update.elapsed().as_secs_f64().max(1e-9),
             update_s: update_start.elapsed().as_secs_f64(),
-            ingest,
-            bus,
+            ingest: self.server.counts(),
+            bus: self.bus.counts(),
             ..update.clone()
         }
     }

@@ -25,7 +25,8 @@ impl Output {
     /// Returns when that is done: training waits for as long as nothing can be saved, because whatever it learns could
     /// be lost.
     pub(super) fn save(&mut self, learner: &Learner, has_diverged: bool) -> anyhow::Result<bool> {
-        let is_due = !has_diverged && learner.n_updates().is_multiple_of(self.checkpoints.every_updates);
+        let is_due =
+            !has_diverged && learner.n_updates().is_multiple_of(learner.setup.config.checkpoints.every_updates);
         if let Some(metrics) = &self.saving.metrics {
             let mut line = Lines::default();
             line.push(keys::METRICS_LEARNER, metrics)?;
@@ -58,7 +59,7 @@ impl Output {
         let mut waiting = None;
         let mut last_reason: Option<String> = None;
         while let Err(error) = self.try_save(learner) {
-            waiting.get_or_insert_with(|| self.pulse.waiting());
+            waiting.get_or_insert_with(|| self.bus.pulse().waiting());
             let reason = format!("{error:#}");
             if last_reason.as_ref() != Some(&reason) {
                 tracing::error!(reason, "nothing can be saved: training waits, and tries again every {pause:?}");
@@ -101,7 +102,7 @@ impl Output {
     fn save_checkpoint(&mut self, learner: &Learner) -> Result<PathBuf, checkpoint::CheckpointError> {
         let checkpoints = self.run_dir.checkpoints();
         let path = learner.checkpoint().write(&checkpoints)?;
-        let keep = self.checkpoints.keep;
+        let keep = learner.setup.config.checkpoints.keep;
         if let Err(error) = checkpoint::prune(&checkpoints, learner.n_env_steps(), keep) {
             tracing::warn!(%error, "older checkpoints were not removed");
         }
@@ -113,7 +114,7 @@ impl Output {
 
     /// Tells viewers and health checks whether the run waits for its disk.
     fn tell(&self, not_saved: Option<NotSaved>) {
-        self.pulse.set_not_saved(not_saved.clone());
+        self.bus.pulse().set_not_saved(not_saved.clone());
         if let Some(metrics) = &self.saving.metrics {
             self.send(Some(LearnerMetrics { not_saved, ..metrics.clone() }));
         }
