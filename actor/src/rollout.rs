@@ -6,7 +6,7 @@ use policy::{Policy, PolicyError};
 use proto::{ActionMode, Status, Task, Trajectory, Weights, WeightsVersion};
 use rand_chacha::ChaCha8Rng;
 
-use crate::segment::{Cut, Identity, SegmentBuilder};
+use crate::segment::{Identity, SegmentBuilder};
 use crate::setup::ActorSetup;
 use crate::task::{FilterError, TaskSampler};
 
@@ -141,16 +141,14 @@ impl<E: Env> Rollout<E> {
             }
             let after = self.envs.env(row).scene();
             let segment = &mut self.slots[row].segment;
-            match segment.push(transition, self.version, after, status, &self.identity) {
-                Cut::None => {}
-                Cut::Segment(trajectory) => {
-                    self.counters.n_segments += 1;
-                    finished.push(*trajectory);
-                }
-                Cut::Diverged => self.counters.n_diverged_episodes += 1,
+            finished.extend(segment.push(transition, self.version, after, status, &self.identity));
+            match status {
+                Status::Running => {}
+                Status::Success | Status::TimeLimit => self.counters.n_episodes += 1,
+                Status::Diverged => self.counters.n_diverged_episodes += 1,
             }
-            self.counters.n_episodes += u64::from(matches!(status, Status::Success | Status::TimeLimit));
         }
+        self.counters.n_segments += finished.len() as u64;
         for row in ended {
             self.slots[row] = self.begin(row, self.slots[row].task_rng.clone())?;
         }

@@ -32,16 +32,6 @@ pub(crate) struct SegmentBuilder {
     episode_return: RewardTerms,
 }
 
-/// Result of adding a step.
-pub(crate) enum Cut {
-    /// No segment is complete yet.
-    None,
-    /// A segment, which gets its number where those of all threads meet.
-    Segment(Box<Trajectory>),
-    /// The episode diverged, and the steps since the last cut were dropped.
-    Diverged,
-}
-
 impl SegmentBuilder {
     /// Creates a builder at the start of an episode of `task`; `segment_len` is in steps, at least 1.
     pub(crate) fn new(segment_len: usize, task: Task) -> Self {
@@ -55,9 +45,8 @@ impl SegmentBuilder {
         }
     }
 
-    /// Adds a step that led to `after` with `status`, acted with weights `version`.
-    ///
-    /// A segment that this completes is of `identity` and has number 0.
+    /// Adds a step that led to `after` with `status`, acted with weights `version`. Returns the segment of `identity` that
+    /// this completes; it gets its number where those of all threads meet.
     pub(crate) fn push(
         &mut self,
         transition: Transition,
@@ -65,7 +54,7 @@ impl SegmentBuilder {
         after: &Scene,
         status: Status,
         identity: &Identity,
-    ) -> Cut {
+    ) -> Option<Trajectory> {
         self.episode_return = self.episode_return + transition.reward;
         self.transitions.push(transition);
         let oldest = self.oldest_version.map_or(version, |oldest| oldest.min(version));
@@ -74,9 +63,9 @@ impl SegmentBuilder {
         match status {
             Status::Diverged => {
                 self.transitions.clear();
-                return Cut::Diverged;
+                return None;
             }
-            Status::Running if n_collected < self.segment_len => return Cut::None,
+            Status::Running if n_collected < self.segment_len => return None,
             Status::Running | Status::Success | Status::TimeLimit => {}
         }
         let first_step = self.first_step;
@@ -86,7 +75,7 @@ impl SegmentBuilder {
         let transitions = std::mem::replace(&mut self.transitions, Vec::with_capacity(self.segment_len));
         self.oldest_version = None;
         self.first_step = n_steps;
-        Cut::Segment(Box::new(Trajectory {
+        Some(Trajectory {
             actor: identity.actor.clone(),
             epoch: identity.epoch,
             seq: 0,
@@ -99,6 +88,6 @@ impl SegmentBuilder {
             last_scene: after.clone(),
             status,
             episode_stats: ended.then_some(stats),
-        }))
+        })
     }
 }
