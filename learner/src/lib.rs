@@ -41,5 +41,5 @@ pub use model::read_model;
 pub use policy::Model;
 pub use policy::device::{DeviceError, DeviceKind};
 pub use run::{RunOptions, check, run};
-pub use source::{Arrivals, Source};
+pub use source::Source;
 pub use train::{Diverged, SAVE_RETRY, Summary};

@@ -38,9 +38,8 @@ pub struct RunOptions {
     pub resume: Option<PathBuf>,
     /// Environment steps after which the run ends; `None` runs until shutdown.
     pub max_env_steps: Option<u64>,
-    /// The source of trajectories. [`Arrivals`](crate::Arrivals) are those of actors on the bus; with a source that steps its own
-    /// worlds, results need not depend on time.
-    pub source: Box<dyn Source>,
+    /// The source of trajectories.
+    pub source: Source,
     /// Gets the metrics of every update too.
     pub metrics_sender: watch::Sender<Option<LearnerMetrics>>,
     /// Time between attempts while nothing can be saved, for example on a full disk; see [`SAVE_RETRY`](crate::SAVE_RETRY).

@@ -44,7 +44,7 @@ pub struct Diverged {
 /// A learner, where its trajectories come from, and where its weights go.
 pub(crate) struct Trainer {
     pub(crate) learner: Learner,
-    pub(crate) source: Box<dyn Source>,
+    pub(crate) source: Source,
     pub(crate) output: Output,
 }
 
@@ -65,19 +65,17 @@ impl Trainer {
     fn train(&mut self) -> anyhow::Result<Option<String>> {
         let Self { learner, source, output } = self;
         let mut n_refused = 0;
-        source.restart();
+        let mut restart = true;
         // The weights that the run begins with.
         output.send(None);
         while let Some(n_steps) = output.next_steps(learner) {
-            let trajectories = source.next(&learner.mailbox(), &output.newest, n_steps)?;
+            let trajectories = source.next(&learner.mailbox, &output.newest, n_steps, &mut restart)?;
             output.start_update();
             let Some(update) = learner.update(trajectories) else { continue };
             output.publish(learner, &update.metrics);
             n_refused = if update.refused.is_some() { n_refused + 1 } else { 0 };
             let has_diverged = n_refused == MAX_REFUSED;
-            if output.save(learner, has_diverged)? {
-                source.restart();
-            }
+            restart |= output.save(learner, has_diverged)?;
             if has_diverged {
                 return Ok(update.refused);
             }

@@ -1,10 +1,11 @@
 //! The training loop in one thread, without the bus: worlds, rollouts, updates, evaluation.
 
-use actor::{ActorSetup, Lockstep, TaskFilter};
+use actor::{Lockstep, TaskFilter};
 use blueprints::Catalog;
+use deploy::commands::{actor_setup, learner_setup};
 use deploy::config::{Config, PRESETS};
 use evaluator::{EvalSetup, Follower, N_WORLDS, Performer, Selection, evaluate};
-use learner::{Learner, LearnerSetup};
+use learner::Learner;
 use proto::Valid;
 
 /// A training in lockstep: worlds pause while the learner updates.
@@ -21,26 +22,8 @@ impl Ring {
         let mut config = Config::parse(preset.text, preset.name).unwrap();
         change(&mut config);
         let config = config.checked().unwrap();
-        let setup = LearnerSetup {
-            config: config.part(|config| &config.learner),
-            policy: config.part(|config| &config.policy),
-            catalog: Catalog::builtin().clone(),
-            tasks: config.actor.tasks.filter.select(Catalog::builtin()).unwrap(),
-            settings: config.settings(),
-            acting: config.acting_limits(),
-            seed: config.seed,
-            device: config.device,
-            init: None,
-        };
-        let learner = Learner::new(setup).unwrap();
-        let worlds = Lockstep::new(ActorSetup {
-            config: config.part(|config| &config.actor),
-            policy: config.part(|config| &config.policy),
-            environment: config.part(|config| &config.environment),
-            id: "lockstep".parse().unwrap(),
-            seed: config.seed,
-            catalog: Catalog::builtin().clone(),
-        });
+        let learner = Learner::new(learner_setup(&config, None, Catalog::builtin()).unwrap()).unwrap();
+        let worlds = Lockstep::new(actor_setup(&config, "lockstep".parse().unwrap(), Catalog::builtin()));
         Self { config, learner, worlds }
     }
 

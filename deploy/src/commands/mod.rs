@@ -7,7 +7,6 @@ mod completions;
 mod eval;
 mod files;
 mod goals;
-mod in_process;
 mod keys;
 mod models;
 mod names;

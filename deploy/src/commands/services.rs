@@ -9,7 +9,7 @@ use blueprints::Catalog;
 use bus::{Bus, BusConfig, BusError, BusMode, SecurityConfig};
 use dashboard::{About, Farewell, Kind, Page, ShownRun};
 use evaluator::{EvaluatorConfig, EvaluatorSetup, Listeners, Stop};
-use learner::{Arrivals, LearnerSetup, RunOptions, SAVE_RETRY, Source as TrajectorySource};
+use learner::{LearnerSetup, RunOptions, SAVE_RETRY};
 use proto::metrics::LearnerMetrics;
 use proto::{ActorId, Role, Valid};
 use runlog::RunPaths;
@@ -83,7 +83,7 @@ pub(super) async fn run_learner(
     terminal.print(&begins(&what, settings));
     terminal.print(&format!("everything goes to {}", run_dir.path().display()));
     let (metrics_sender, metrics) = watch::channel(None);
-    let source = Box::new(Arrivals);
+    let source = learner::Source::Arrivals;
     let options = run_options(setup, config, &run_dir, origin.checkpoint, source, metrics_sender);
     let (mut shown, mut summary) = (None, None);
     let ended = on_bus(config, &health, &shutdown, async |bus| {
@@ -358,7 +358,7 @@ pub(super) fn run_options(
     config: &Config,
     run_dir: &RunDir,
     resume: Option<PathBuf>,
-    source: Box<dyn TrajectorySource>,
+    source: learner::Source,
     metrics_sender: watch::Sender<Option<LearnerMetrics>>,
 ) -> RunOptions {
     let run_dir = run_dir.paths.clone();

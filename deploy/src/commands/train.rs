@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
+use actor::Lockstep;
 use blueprints::Catalog;
 use blueprints::outside::as_text;
 use bus::{Bus, BusConfig};
 use dashboard::{About, Farewell, Page};
 use evaluator::{Listeners, Stop};
-use learner::{Arrivals, RunOptions, Source};
+use learner::{RunOptions, Source};
 use proto::keys::Role;
 use proto::metrics::EvalSummary;
 use proto::{ActorId, Valid, Weights};
@@ -21,7 +22,6 @@ use tokio_util::sync::CancellationToken;
 
 use super::common::{configure, farewell, join_bus, json, origin, serve_command};
 use super::goals::Goals;
-use super::in_process::InProcess;
 use super::runtime::on_runtime;
 use super::services;
 use crate::cli::{Settings, TrainArgs};
@@ -125,9 +125,9 @@ pub(super) async fn run(
     views.spawn(live::show_learning(updates, actors, evaluated.clone(), terminal.clone(), config.n_env_steps));
     views.spawn(live::show_reports(evaluated.clone(), terminal.clone(), args.verbose));
     views.spawn(live::show_episodes(counted, "evaluated", terminal.clone(), learner_is_done));
-    let source: Box<dyn Source> = match config.lockstep {
-        true => Box::new(InProcess::new(config, &goals.catalog)),
-        false => Box::new(Arrivals),
+    let source = match config.lockstep {
+        true => in_turns(config, &goals.catalog),
+        false => Source::Arrivals,
     };
     let options = services::run_options(setup, config, &run_dir, origin.checkpoint, source, metrics);
     let services = Services { config, catalog: &goals.catalog, bus: &bus, folder: run_dir.path(), terminal, shutdown };
@@ -147,6 +147,13 @@ pub(super) async fn run(
         learner,
         evaluation: evaluated.borrow().as_ref().map(|report| report.summary.clone()),
     })
+}
+
+/// Worlds that step in turns with the learner, so that equal seeds give equal trajectories, byte for byte.
+fn in_turns(config: &Valid<Config>, catalog: &Arc<Catalog>) -> Source {
+    let id = "lockstep".parse().expect("the name is lower case");
+    let mut worlds = Lockstep::new(services::actor_setup(config, id, catalog));
+    Source::Made(Box::new(move |weights, restart| worlds.step(weights, restart)))
 }
 
 struct Services<'t> {

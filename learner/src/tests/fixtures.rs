@@ -2,14 +2,11 @@
 
 use blueprints::{BlockIdx, BlueprintId, N_BLOCKS};
 use proto::{
-    Action, ActorId, CanonicalSettings, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, Weights,
+    Action, ActorId, CanonicalSettings, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition,
     WeightsVersion,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-
-use crate::mailbox::Mailbox;
-use crate::source::Source;
 
 /// Returns the id of a blueprint in the built-in catalog.
 pub(crate) fn blueprint_id() -> BlueprintId {
@@ -66,17 +63,4 @@ fn action(rng: &mut ChaCha8Rng) -> Action {
     let mut choice = || BlockIdx::try_from(rng.random_range(0..N_BLOCKS as u8)).ok();
     let choices = [choice(), choice()];
     Action { choices, moves: std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0))) }
-}
-
-/// A source of trajectories that are made between updates.
-pub(crate) struct Made<F>(pub(crate) F);
-
-impl<F: FnMut(&Weights) -> Vec<Trajectory> + Send> Source for Made<F> {
-    fn next(&mut self, mailbox: &Mailbox, weights: &Weights, n_steps: usize) -> anyhow::Result<Vec<Trajectory>> {
-        if mailbox.n_steps() < n_steps {
-            // The mailbox counts refusals.
-            (self.0)(weights).into_iter().for_each(|trajectory| drop(mailbox.push_beyond_capacity(trajectory)));
-        }
-        Ok(mailbox.take(n_steps))
-    }
 }

@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 use super::fixtures::Made;
 use super::learning::{bandit, small_setup};
 use super::service::{Learning, options, place, start};
-use crate::{CheckpointError, RunOptions};
+use crate::{CheckpointError, RunOptions, Source};
 
 /// Time between attempts to save, where they should succeed at once.
 const SOON: Duration = Duration::from_millis(1);
@@ -43,16 +43,16 @@ impl Running {
         let n_fed = Arc::new(AtomicU64::new(0));
         let feed = {
             let (setup, paths, n_fed) = (setup.clone(), paths.clone(), n_fed.clone());
-            move |weights: &proto::Weights| {
+            move |weights: &proto::Weights, _| {
                 if n_fed.fetch_add(1, Ordering::SeqCst) == 0 {
                     spoil(&paths);
                 }
-                bandit(&setup, weights, 256, &mut ChaCha8Rng::seed_from_u64(weights.version.0))
+                Ok(bandit(&setup, weights, 256, &mut ChaCha8Rng::seed_from_u64(weights.version.0)))
             }
         };
         let options = RunOptions {
             max_env_steps: Some(max_env_steps),
-            source: Box::new(Made(feed)),
+            source: Source::Made(Box::new(feed)),
             save_retry,
             ..options(setup, &paths)
         };

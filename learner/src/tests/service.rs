@@ -11,9 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::fixtures::Made;
 use super::learning::{bandit, small_setup};
-use crate::{
-    Arrivals, Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Source, Summary, run,
-};
+use crate::{Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Source, Summary, run};
 use runlog::RunPaths;
 
 /// Returns a bus and the paths of a run in a temporary folder.
@@ -52,9 +50,9 @@ async fn act(bus: &Bus, setup: &LearnerSetup, n_updates: u64) -> Weights {
 }
 
 /// Returns a source that makes `n` episodes of one step at a time.
-fn episodes(setup: &LearnerSetup, n: usize, seed: u64) -> Box<dyn Source> {
+fn episodes(setup: &LearnerSetup, n: usize, seed: u64) -> Source {
     let (setup, mut rng) = (setup.clone(), ChaCha8Rng::seed_from_u64(seed));
-    Box::new(Made(move |weights: &Weights| bandit(&setup, weights, n, &mut rng)))
+    Source::Made(Box::new(move |weights, _| Ok(bandit(&setup, weights, n, &mut rng))))
 }
 
 /// Returns the options of a new run without end in `dir`.
@@ -65,7 +63,7 @@ pub(super) fn options(setup: LearnerSetup, dir: &RunPaths) -> RunOptions {
         run_dir: dir.clone(),
         resume: None,
         max_env_steps: None,
-        source: Box::new(Arrivals),
+        source: Source::Arrivals,
         metrics_sender,
         save_retry: SAVE_RETRY,
     }
