@@ -36,9 +36,8 @@ const DRAIN_TIMEOUT: Duration = Duration::from_secs(2);
 /// Maximum number of attempts to send a segment that gets no answer.
 const MAX_ATTEMPTS: usize = 3;
 
-/// How long an actor waits for another process with its name to end before it gives up. A killed process still appears
-/// alive for up to 6 s, and its replacement must succeed.
-const NAME_PATIENCE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 15 });
+/// How long an actor waits for another process with its name.
+const NAME_PATIENCE: Duration = if cfg!(test) { Duration::from_secs(1) } else { bus::NAME_PATIENCE };
 
 /// Pause before retrying a learner whose mailbox is full or that reports the name as taken.
 const RETRY_PAUSE: Duration = Duration::from_millis(50);

@@ -15,6 +15,10 @@ use proto::Valid;
 use proto::keys::{self, Role};
 use proto::trajectory::is_valid_name;
 
+/// How long a service waits for another process with its name to end before it gives up. A killed process still appears
+/// alive for up to 6 s, and its replacement must succeed.
+pub const NAME_PATIENCE: Duration = Duration::from_secs(15);
+
 /// Maximum number of names followed per role; more than a router has sessions.
 pub(super) const MAX_NAMES: usize = 16_384;
 
@@ -52,9 +56,8 @@ impl Bus {
         Ok(AliveToken { _token: token, _open: self.clone() })
     }
 
-    /// Like [`Self::declare_alive`], but first waits until no other process has the name. A killed process still
-    /// appears alive for up to 6 s, so this waits for up to `patience`. Two processes that start at the same moment may
-    /// both succeed; of two actors, the learner then accepts one.
+    /// Like [`Self::declare_alive`], but first waits until no other process has the name, for up to `patience`. Two
+    /// processes that start at the same moment may both succeed; of two actors, the learner then accepts one.
     ///
     /// Call this before the session follows [`Self::alive`] of the same role. zenoh sends a client the tokens it follows
     /// once only, so its own copy must answer then, and the router's end of the answer can overtake that.

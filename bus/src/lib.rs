@@ -31,7 +31,7 @@ mod turns;
 mod viewer;
 mod weights;
 
-pub use alive::{AliveToken, AliveWatch, runs};
+pub use alive::{AliveToken, AliveWatch, NAME_PATIENCE, runs};
 pub use config::{BusConfig, BusMode};
 pub use error::{BusError, SendError};
 pub use followed::Followed;

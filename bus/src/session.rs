@@ -101,11 +101,6 @@ impl Bus {
         self.gate.as_ref()?.counts()
     }
 
-    /// Returns the role of this process in the network.
-    pub fn mode(&self) -> BusMode {
-        self.config.mode
-    }
-
     /// Returns the name of the run.
     pub fn run(&self) -> &str {
         &self.config.run
@@ -123,7 +118,7 @@ impl Bus {
 
     /// Returns whether this process reaches the others now: a router always does, a client while it has its router.
     pub async fn is_connected(&self) -> bool {
-        self.mode() == BusMode::Router || self.session.info().routers_zid().await.next().is_some()
+        self.config.mode == BusMode::Router || self.session.info().routers_zid().await.next().is_some()
     }
 
     /// Leaves the bus: queued messages are still sent, and the tokens and queryables disappear for other processes.

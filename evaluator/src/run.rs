@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use blueprints::{Blueprint, BlueprintId};
-use bus::{Bus, HistoryAnswer, MetricsPublisher, Pulse, unix_ms};
+use bus::{Bus, HistoryAnswer, MetricsPublisher, NAME_PATIENCE, Pulse, unix_ms};
 use policy::Policy;
 use proto::metrics::{EvalBlueprint, EvalReport};
 use proto::{Role, Weights, keys};
@@ -26,10 +26,6 @@ use crate::records::Records;
 use crate::schedule::{Due, Evaluated, due};
 use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
 use crate::videos::{EpisodeSelector, VideoRecorder};
-
-/// How long an evaluator waits for another one with its name to disconnect: a killed process still appears alive for up
-/// to 6 s.
-const NAME_PATIENCE: Duration = Duration::from_secs(15);
 
 /// Channels to other parts of this process. Closed receivers are ignored.
 #[derive(Debug)]

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use blueprints::outside;
-use bus::{Bus, MetricsPublisher, WeightsPublisher};
+use bus::{Bus, MetricsPublisher, NAME_PATIENCE, WeightsPublisher};
 use proto::metrics::LearnerMetrics;
 use proto::{Role, WeightsVersion, keys};
 use runlog::{MetricsWriter, RunPaths};
@@ -20,10 +20,6 @@ use crate::checkpoint::{self, Checkpoint, Found};
 use crate::source::Source;
 use crate::train::{Clock, Output, Publication, Saving, Summary, Trainer};
 use crate::{Learner, LearnerSetup};
-
-/// Time that a learner waits for another one to exit. A killed process appears alive for up to 6 s, and its replacement
-/// must be able to start.
-const NAME_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Maximum size of `config.toml` in bytes.
 const MAX_CONFIG_BYTES: u64 = 1 << 20;
@@ -57,7 +53,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     // Wait before any cleanup, because another learner may be writing there.
     let _alive = tokio::select! {
-        alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_TIMEOUT) => alive?,
+        alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_PATIENCE) => alive?,
         () = shutdown.cancelled() => return Ok(None),
     };
     let (setup, resume, checkpoints) = (options.setup.clone(), options.resume.clone(), options.run_dir.checkpoints());
