@@ -24,11 +24,11 @@ use tokio_util::task::AbortOnDropHandle;
 /// Maximum number of trajectories that wait to be decoded; more are refused as `Full`.
 const INGEST_QUEUE: usize = 256;
 
-/// Serves the trajectories of all actors until dropped.
+/// Serves the trajectories of all actors until dropped; they then see at once that no learner is present.
 #[derive(Debug)]
 pub struct TrajectoryServer {
     counts: Arc<Mutex<IngestCounts>>,
-    queryable: Queryable<()>,
+    _queryable: Queryable<()>,
     _worker: AbortOnDropHandle<()>,
     _open: Bus,
 }
@@ -66,7 +66,7 @@ impl Bus {
                 }
             }
         }));
-        Ok(TrajectoryServer { counts, queryable, _worker: worker, _open: self.clone() })
+        Ok(TrajectoryServer { counts, _queryable: queryable, _worker: worker, _open: self.clone() })
     }
 }
 
@@ -74,14 +74,6 @@ impl TrajectoryServer {
     /// Returns the number of trajectories so far, by result.
     pub fn counts(&self) -> IngestCounts {
         *self.counts.lock()
-    }
-
-    /// Stops the server: actors see at once that no learner is present.
-    ///
-    /// # Errors
-    /// If the session is closed.
-    pub async fn close(self) -> Result<(), BusError> {
-        self.queryable.undeclare().await.map_err(BusError::during("withdrawing the learner's ingest"))
     }
 }
 

@@ -63,7 +63,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     let metrics = bus.metrics_publisher(keys::METRICS_LEARNER).await?;
     let (version, current_version) = watch::channel(learner.version());
     let mailbox = learner.mailbox();
-    let server = Arc::new(bus.serve_trajectories(move |trajectory| mailbox.push(trajectory), current_version).await?);
+    let server = bus.serve_trajectories(move |trajectory| mailbox.push(trajectory), current_version).await?;
 
     let (publications, mut arrivals) = mpsc::channel(2);
     let (result, ended) = oneshot::channel();
@@ -82,7 +82,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         max_env_steps,
         publications,
         metrics_sender,
-        server: server.clone(),
+        server,
         bus: bus.clone(),
         shutdown,
         clock: Clock::new(before_s),
@@ -100,9 +100,6 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     drop(arrivals);
     let report = ended.await.context("the learner's thread panicked")?;
     published?;
-    if let Some(server) = Arc::into_inner(server) {
-        server.close().await?;
-    }
     report.map(Some)
 }
 

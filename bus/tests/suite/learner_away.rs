@@ -26,7 +26,7 @@ async fn actor_waits_for_a_learner() {
     within("an ack", sender.send(&samples::running("a", 1))).await.unwrap();
     assert_eq!(learner.seqs(), [1]);
 
-    learner.server.close().await.unwrap();
+    drop(learner.server);
     until("the learner's absence", &mut there, |there| !there).await;
     let answer = sender.send(&samples::running("a", 2)).await;
     assert!(matches!(answer, Err(SendError::NoLearner)), "{answer:?}");

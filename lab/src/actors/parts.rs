@@ -86,7 +86,7 @@ pub(crate) async fn ingest(shutdown: CancellationToken) -> Result<(), Failure> {
         let stop = orders.stop();
         sink.publish_until(&stop).await?;
     }
-    say(&Note::Sank(sink.close().await?))?;
+    say(&Note::Sank(sink.close()?))?;
     bus.close().await;
     Ok(())
 }

@@ -128,10 +128,10 @@ impl Sink {
     /// Stops the sink and returns the result.
     ///
     /// # Errors
-    /// If the session fails or the draining thread panicked.
-    pub(super) async fn close(self) -> anyhow::Result<SinkReport> {
+    /// If the draining thread panicked.
+    pub(super) fn close(self) -> anyhow::Result<SinkReport> {
         let ingest = self.server.counts();
-        self.server.close().await?;
+        drop(self.server);
         let (taken_total, updates_total) = self.drain.stop()?;
         let (mailbox, waiting) = self.mailbox.snapshot();
         Ok(SinkReport {

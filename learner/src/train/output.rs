@@ -58,7 +58,7 @@ pub(crate) struct Output {
     pub(crate) publications: mpsc::Sender<Publication>,
     /// Gets the metrics of every update too.
     pub(crate) metrics_sender: watch::Sender<Option<LearnerMetrics>>,
-    pub(crate) server: Arc<TrajectoryServer>,
+    pub(crate) server: TrajectoryServer,
     pub(crate) bus: Bus,
     pub(crate) shutdown: CancellationToken,
     pub(crate) clock: Clock,
