@@ -36,7 +36,7 @@ pub struct LearnerSetup {
     pub policy: Valid<PolicyConfig>,
     /// All blueprints; trajectories can refer to those of the training split.
     pub catalog: Arc<Catalog>,
-    /// Blueprints to train on.
+    /// Blueprints of the training split to train on, at least one. Whoever selects goals has found them in the catalog.
     pub tasks: Vec<BlueprintId>,
     /// Settings of policy and worlds, which must be those of every actor. Weights carry them, and trajectories their
     /// hash.
@@ -58,12 +58,6 @@ pub enum LearnerError {
     /// The device does not exist.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// There is no training blueprint.
-    #[error("there is no training blueprint")]
-    NoTasks,
-    /// A training blueprint is not in the catalog.
-    #[error("training blueprint {0} is not in the catalog")]
-    UnknownTask(BlueprintId),
     /// The network has too many parameters for a message with its weights.
     #[error("the network has {0} parameters, more than the {MAX_PARAMETERS} that the bus carries: make it smaller")]
     TooLarge(usize),
@@ -106,15 +100,8 @@ impl Learner {
     /// Creates a learner, untrained unless `setup.init` is a policy.
     ///
     /// # Errors
-    /// If there is no training blueprint or an unknown one, the device cannot be opened, or
-    /// `setup.init` does not fit.
+    /// If the device cannot be opened, or `setup.init` does not fit.
     pub fn new(setup: LearnerSetup) -> Result<Self, LearnerError> {
-        if setup.tasks.is_empty() {
-            return Err(LearnerError::NoTasks);
-        }
-        if let Some(unknown) = setup.tasks.iter().find(|id| setup.catalog.get(id).is_none()) {
-            return Err(LearnerError::UnknownTask(unknown.clone()));
-        }
         let device = setup.device.open()?;
         let state = LearnerState {
             version: WeightsVersion(0),
