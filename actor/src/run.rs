@@ -61,10 +61,9 @@ pub async fn run(
     shutdown: CancellationToken,
 ) -> anyhow::Result<Summary> {
     let ActorSetup { config, id, .. } = &setup;
-    let _alive = tokio::select! {
-        () = shutdown.cancelled() => return Ok(Summary::default()),
-        alive = bus.declare_alive_alone(Role::Actor, id.as_str(), NAME_PATIENCE) => alive?,
-    };
+    let declaring = bus.declare_alive_alone(Role::Actor, id.as_str(), NAME_PATIENCE);
+    let Some(alive) = shutdown.run_until_cancelled(declaring).await else { return Ok(Summary::default()) };
+    let _alive = alive?;
     // Distinguishes a restarted actor from its predecessor.
     let epoch = unix_ms();
     tracing::info!(actor = %id, epoch, seed = setup.seed, "actor starts");
@@ -76,10 +75,9 @@ pub async fn run(
     if weights.borrow().is_none() {
         tracing::info!(actor = %id, "waiting for the first weights, which a learner of the run publishes");
     }
-    tokio::select! {
-        () = shutdown.cancelled() => return Ok(Summary::default()),
-        first = weights.wait_for(Option::is_some) => { first.context("the bus closed before the first weights")?; }
-    }
+    let first = async { weights.wait_for(Option::is_some).await.map(drop) };
+    let Some(first) = shutdown.run_until_cancelled(first).await else { return Ok(Summary::default()) };
+    first.context("the bus closed before the first weights")?;
     drop(waiting);
     tracing::info!(actor = %id, n_threads = config.n_threads, n_worlds = config.n_worlds, "stepping");
 
@@ -132,24 +130,18 @@ async fn drain(shared: &Shared, mut senders: JoinSet<()>) -> u64 {
 /// Sends segments, oldest first, until the backlog is closed and empty.
 async fn send_all(shared: Arc<Shared>) {
     while let Some(segment) = shared.backlog.pop().await {
-        let sent = tokio::select! {
-            () = shared.give_up.cancelled() => None,
-            sent = send(&shared, &segment) => Some(sent),
-        };
+        let sent = shared.give_up.run_until_cancelled(send(&shared, &segment)).await;
         if sent == Some(Sent::Done) {
             continue;
         }
         shared.count_shed(shared.backlog.put_back(segment));
-        match sent {
-            Some(Sent::Busy) => tokio::select! {
-                () = tokio::time::sleep(RETRY_PAUSE) => {}
-                () = shared.give_up.cancelled() => return,
-            },
-            Some(Sent::NobodyThere) => tokio::select! {
-                () = shared.sender.wait_for_learner() => {}
-                () = shared.stop.cancelled() => return,
-            },
-            Some(Sent::Done) | None => return,
+        let paused = match sent {
+            Some(Sent::Busy) => shared.give_up.run_until_cancelled(tokio::time::sleep(RETRY_PAUSE)).await,
+            Some(Sent::NobodyThere) => shared.stop.run_until_cancelled(shared.sender.wait_for_learner()).await,
+            Some(Sent::Done) | None => None,
+        };
+        if paused.is_none() {
+            return;
         }
     }
 }
@@ -213,10 +205,7 @@ async fn report_metrics(
     let start = Instant::now();
     let mut reports = VecDeque::new();
     loop {
-        let more = tokio::select! {
-            () = tokio::time::sleep(METRICS_PERIOD) => true,
-            () = shared.counted.cancelled() => false,
-        };
+        let more = shared.counted.run_until_cancelled(tokio::time::sleep(METRICS_PERIOD)).await.is_some();
         let elapsed = start.elapsed();
         let Summary { counters, n_trajectories_acked, dropped } = shared.report();
         // The oldest version, so that a thread that falls behind is visible.

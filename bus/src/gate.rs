@@ -99,12 +99,7 @@ impl Gate {
         for listener in self.listeners.lock().drain(..) {
             let hall = Arc::clone(&self.hall);
             let closing = self.closing.clone();
-            self.tasks.spawn(async move {
-                tokio::select! {
-                    () = closing.cancelled() => {}
-                    () = listener.admit(&hall) => {}
-                }
-            });
+            self.tasks.spawn(async move { closing.run_until_cancelled(listener.admit(&hall)).await });
         }
     }
 

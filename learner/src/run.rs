@@ -52,10 +52,9 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
     let folder = options.run_dir.folder();
     fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     // Wait before any cleanup, because another learner may be writing there.
-    let _alive = tokio::select! {
-        alive = bus.declare_alive_alone(Role::Learner, "learner", NAME_PATIENCE) => alive?,
-        () = shutdown.cancelled() => return Ok(None),
-    };
+    let declaring = bus.declare_alive_alone(Role::Learner, "learner", NAME_PATIENCE);
+    let Some(alive) = shutdown.run_until_cancelled(declaring).await else { return Ok(None) };
+    let _alive = alive?;
     let (setup, resume, checkpoints) = (options.setup.clone(), options.resume.clone(), options.run_dir.checkpoints());
     let learner = tokio::task::spawn_blocking(move || start(setup, resume.as_deref(), &checkpoints)).await??;
 

@@ -83,12 +83,8 @@ fn first_usable(
 /// Waits for other weights; false if the actor stops first.
 fn wait_for_others(weights: &mut Arrivals, shared: &Shared) -> bool {
     let _waiting = shared.bus.pulse().waiting();
-    Handle::current().block_on(async {
-        tokio::select! {
-            () = shared.stop.cancelled() => false,
-            changed = weights.changed() => changed.is_ok(),
-        }
-    })
+    let changed = Handle::current().block_on(shared.stop.run_until_cancelled(weights.changed()));
+    changed.is_some_and(|changed| changed.is_ok())
 }
 
 /// A rollout and its acting weights.

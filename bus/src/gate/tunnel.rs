@@ -49,29 +49,24 @@ pub(super) fn open(
     let router = Arc::new(Router { endpoint, host, port, connector, limit, closing: closing.clone(), failing });
     let listener = UnixListener::bind(entrance).map_err(failed)?;
     let its_tasks = tasks.clone();
-    tasks.spawn(async move {
+    tasks.spawn(closing.clone().run_until_cancelled_owned(async move {
         loop {
-            tokio::select! {
-                () = router.closing.cancelled() => return,
-                accepted = listener.accept() => match accepted {
-                    Ok((inner, _)) => drop(its_tasks.spawn(Arc::clone(&router).carry(inner))),
-                    Err(error) => {
-                        tracing::warn!(%error, "cannot accept connections");
-                        tokio::time::sleep(Duration::from_millis(100)).await;
-                    }
-                },
+            match listener.accept().await {
+                Ok((inner, _)) => drop(its_tasks.spawn(Arc::clone(&router).carry(inner))),
+                Err(error) => {
+                    tracing::warn!(%error, "cannot accept connections");
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                }
             }
         }
-    });
+    }));
     Ok(())
 }
 
 impl Router {
     async fn carry(self: Arc<Self>, inner: UnixStream) {
-        let connected = tokio::select! {
-            () = self.closing.cancelled() => return,
-            connected = tokio::time::timeout(self.limit, self.connect()) => connected,
-        };
+        let connecting = tokio::time::timeout(self.limit, self.connect());
+        let Some(connected) = self.closing.run_until_cancelled(connecting).await else { return };
         let late = |_| Err(io::Error::new(io::ErrorKind::TimedOut, "no answer"));
         match connected.unwrap_or_else(late) {
             Ok(outer) => {
