@@ -90,10 +90,6 @@ impl Backlog {
         self.emptied.notify_all();
     }
 
-    pub(crate) fn is_closed(&self) -> bool {
-        self.state.lock().closed
-    }
-
     /// Drops all waiting segments and returns their number.
     pub(crate) fn clear(&self) -> u64 {
         let segments = std::mem::take(&mut self.state.lock().segments);

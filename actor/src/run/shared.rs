@@ -83,23 +83,15 @@ impl Shared {
 
     /// Waits for `stop` or the end of the first thread, then ends the other threads and closes the backlog.
     pub(super) async fn stop_with_first(&self, threads: &mut JoinSet<anyhow::Result<()>>) -> anyhow::Result<()> {
-        let mut outcome = Ok(());
-        loop {
-            let ended = tokio::select! {
-                ended = threads.join_next() => ended,
-                () = self.stop.cancelled(), if !self.backlog.is_closed() => {
-                    // Wakes threads that pause for room.
-                    self.backlog.close();
-                    continue;
-                }
-            };
-            let Some(ended) = ended else { break };
-            self.stop.cancel();
-            let ended = ended.context("a stepping thread panicked").and_then(|result| result);
-            outcome = outcome.and(ended);
-        }
+        let first = self.stop.run_until_cancelled(threads.join_next()).await.flatten();
+        self.stop.cancel();
+        // Wakes threads that pause for room.
         self.backlog.close();
-        outcome
+        let mut ended: Vec<_> = first.into_iter().collect();
+        while let Some(thread) = threads.join_next().await {
+            ended.push(thread);
+        }
+        ended.into_iter().try_for_each(|thread| thread.context("a stepping thread panicked")?)
     }
 
     /// Counts unusable weights.
