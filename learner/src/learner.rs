@@ -222,8 +222,8 @@ impl Learner {
 
     /// Takes an update back. Its randomness is used up, so that the next one draws other minibatches, and an adaptive
     /// learning rate shrinks.
-    pub(crate) fn take_back(&mut self, (trained, state): (Trained, LearnerState)) {
-        self.ppo.restore_trained(trained);
+    pub(crate) fn take_back(&mut self, ((parameters, adam), state): (Trained, LearnerState)) {
+        self.ppo.restore(parameters, adam).expect("these parameters were in use before");
         let mut learning_rate = state.learning_rate;
         if let LrSchedule::Adaptive(rule) = &self.setup.config.optimizer.lr_schedule {
             learning_rate = learning_rate.adapted(f32::INFINITY, rule);

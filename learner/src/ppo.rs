@@ -94,7 +94,7 @@ impl Ppo {
         Self { workers, parameters, adam, value_head }
     }
 
-    /// Restores the parameters and moments from a checkpoint.
+    /// Restores the parameters and moments from a checkpoint, or those before an update.
     pub(crate) fn restore(&mut self, parameters: Vec<f32>, adam: Adam) -> Result<(), ParameterError> {
         self.workers.load(&parameters)?;
         self.parameters = parameters;
@@ -105,12 +105,6 @@ impl Ppo {
     /// Returns a copy, for a checkpoint, or so that an update can be taken back.
     pub(crate) fn trained(&self) -> Trained {
         (self.parameters.clone(), self.adam.clone())
-    }
-
-    /// Takes an update back.
-    pub(crate) fn restore_trained(&mut self, before: Trained) {
-        (self.parameters, self.adam) = before;
-        self.load();
     }
 
     /// Returns the parameters, flat.
