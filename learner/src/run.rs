@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use blueprints::outside;
@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::checkpoint::{self, Checkpoint, Found};
 use crate::source::Source;
-use crate::train::{Clock, Output, Publication, Saving, Summary, Trainer};
+use crate::train::{Output, Publication, Saving, Summary, Trainer};
 use crate::{Learner, LearnerSetup};
 
 /// Maximum size of `config.toml` in bytes.
@@ -73,6 +73,7 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         records.settings(&settings)?;
     }
     let RunOptions { run_dir, max_env_steps, source, metrics_sender, save_retry, .. } = options;
+    let now = Instant::now();
     let output = Output {
         run_dir,
         records,
@@ -84,7 +85,10 @@ pub async fn run(options: RunOptions, bus: &Bus, shutdown: CancellationToken) ->
         server,
         bus: bus.clone(),
         shutdown,
-        clock: Clock::new(before_s),
+        start: now,
+        before_s,
+        update_start: now,
+        last_update: now,
         newest: Arc::new(learner.weights()),
     };
     let trainer = Trainer { learner, source, output };

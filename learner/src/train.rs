@@ -18,7 +18,7 @@ use std::path::PathBuf;
 use policy::normalization::normalize;
 use proto::Trajectory;
 
-pub(crate) use self::output::{Clock, Output, Publication, Saving};
+pub(crate) use self::output::{Output, Publication, Saving};
 pub use self::output::{SAVE_RETRY, Summary};
 use crate::batch::Batch;
 use crate::episodes::episode_metrics;

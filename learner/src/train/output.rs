@@ -61,7 +61,11 @@ pub(crate) struct Output {
     pub(crate) server: TrajectoryServer,
     pub(crate) bus: Bus,
     pub(crate) shutdown: CancellationToken,
-    pub(crate) clock: Clock,
+    pub(crate) start: Instant,
+    /// Seconds that the run took before this process.
+    pub(crate) before_s: f64,
+    pub(crate) update_start: Instant,
+    pub(crate) last_update: Instant,
     /// The learner's newest weights.
     pub(crate) newest: Arc<Weights>,
 }
@@ -89,27 +93,6 @@ impl Default for Saving {
     }
 }
 
-/// The clock of a run.
-pub(crate) struct Clock {
-    start: Instant,
-    /// Seconds that the run took before this process.
-    before_s: f64,
-    update_start: Instant,
-    last_update: Instant,
-}
-
-impl Clock {
-    /// Starts the clock of a run that has taken `before_s` seconds.
-    pub(crate) fn new(before_s: f64) -> Self {
-        let start = Instant::now();
-        Self { start, before_s, update_start: start, last_update: start }
-    }
-
-    fn run_elapsed_s(&self) -> f64 {
-        self.before_s + self.start.elapsed().as_secs_f64()
-    }
-}
-
 impl Output {
     /// Returns how many steps the next update takes; `None` if the run ends.
     pub(super) fn next_steps(&self, learner: &Learner) -> Option<usize> {
@@ -126,14 +109,14 @@ impl Output {
 
     /// Starts to measure an update.
     pub(super) fn start_update(&mut self) {
-        self.clock.update_start = Instant::now();
+        self.update_start = Instant::now();
     }
 
     /// Publishes the weights and metrics of an update.
     pub(super) fn publish(&mut self, learner: &Learner, update: &LearnerMetrics) {
         self.newest = Arc::new(learner.weights());
         let metrics = self.metrics(update);
-        self.clock.last_update = Instant::now();
+        self.last_update = Instant::now();
         self.send(Some(metrics.clone()));
         self.saving.metrics = Some(metrics);
     }
@@ -156,21 +139,24 @@ impl Output {
             weights_version: learner.version(),
             n_updates: learner.n_updates(),
             n_env_steps: learner.n_env_steps(),
-            run_elapsed_s: self.clock.run_elapsed_s(),
+            run_elapsed_s: self.run_elapsed_s(),
             mailbox: learner.mailbox().counts(),
             checkpoint,
             weights: self.newest.clone(),
         }
     }
 
+    fn run_elapsed_s(&self) -> f64 {
+        self.before_s + self.start.elapsed().as_secs_f64()
+    }
+
     /// Returns the metrics of an update with times and the counts of the bus.
     fn metrics(&self, update: &LearnerMetrics) -> LearnerMetrics {
-        let Clock { start, update_start, last_update, .. } = &self.clock;
         LearnerMetrics {
-            elapsed_s: start.elapsed().as_secs_f64(),
-            run_elapsed_s: self.clock.run_elapsed_s(),
-            env_steps_per_s: update.n_update_steps as f64 / last_update.elapsed().as_secs_f64().max(1e-9),
-            update_s: update_start.elapsed().as_secs_f64(),
+            elapsed_s: self.start.elapsed().as_secs_f64(),
+            run_elapsed_s: self.run_elapsed_s(),
+            env_steps_per_s: update.n_update_steps as f64 / self.last_update.elapsed().as_secs_f64().max(1e-9),
+            update_s: self.update_start.elapsed().as_secs_f64(),
             ingest: self.server.counts(),
             bus: self.bus.counts(),
             ..update.clone()
