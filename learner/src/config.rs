@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use crate::advantages::Estimator;
 use crate::gae::Gae;
 
-pub(crate) use loss::LossTerms;
 pub use loss::{LossConfig, Objective};
 pub use schedule::Schedule;
 

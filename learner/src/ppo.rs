@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
-use crate::config::{LearnerConfig, LossTerms, LrSchedule, Objective};
+use crate::config::{LearnerConfig, LrSchedule, Objective};
 use crate::draws;
 use crate::gae;
 use crate::loss::{RatioStatistics, behavior_weights, effective_sample_size, explained_variance, importance_ratios};
@@ -67,10 +67,10 @@ struct Steps {
 
 impl Steps {
     /// The means of what the steps counted; all else is zero.
-    fn metrics(&self, loss: &LossTerms) -> PpoMetrics {
+    fn metrics(&self, targets: &Targets<'_>) -> PpoMetrics {
         let mean = |sum: f64| sum / self.n_samples.max(1) as f64;
         PpoMetrics {
-            total_loss: mean(self.losses.total(loss)),
+            total_loss: mean(self.losses.total(targets)),
             policy_loss: mean(self.losses.policy),
             value_loss: mean(self.losses.value),
             entropy: mean(self.losses.blocks + self.losses.moves),
@@ -130,7 +130,6 @@ impl Ppo {
             let ppo = PpoMetrics { learning_rate: f64::from(state.learning_rate.0), ..PpoMetrics::default() };
             return Learned { ppo, proposals: None };
         }
-        let terms = config.loss.at(state.n_env_steps);
         let mut before = self.workers.evaluate(batch);
         if batch.refuse(&before.values, &before.log_probs) > 0 {
             before = self.workers.evaluate(batch);
@@ -150,8 +149,14 @@ impl Ppo {
             Objective::Standard => (&batch.behavior_log_probs, vec![1.0; batch.n_samples()]),
             Objective::Decoupled => (&before.log_probs, behavior_weights(&ratios)),
         };
-        let mut targets =
-            Targets { loss: terms, reference, weights, advantages: Vec::new(), value_targets: Vec::new() };
+        let mut targets = Targets {
+            loss: &config.loss,
+            n_env_steps: state.n_env_steps,
+            reference,
+            weights,
+            advantages: Vec::new(),
+            value_targets: Vec::new(),
+        };
         targets.refresh(advantages, &values, &state.values);
 
         let mut steps = Steps::default();
@@ -181,7 +186,7 @@ impl Ppo {
             n_epochs: config.n_epochs as u64,
             value_mean: state.values.mean,
             value_std: state.values.std,
-            ..steps.metrics(&targets.loss)
+            ..steps.metrics(&targets)
         };
         let proposals = batch.draws.as_ref().map(|draws| draws::metrics(draws, &before.entropies));
         Learned { ppo, proposals }

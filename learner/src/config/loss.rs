@@ -33,24 +33,3 @@ pub enum Objective {
     /// "Batch size-invariance for policy optimization"). Equal to the standard objective when the policy lag is 0.
     Decoupled,
 }
-
-/// The numbers of [`LossConfig`] for one update.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct LossTerms {
-    pub(crate) clip_range: f32,
-    pub(crate) vf_coef: f32,
-    pub(crate) block_entropy: f32,
-    pub(crate) move_entropy: f32,
-}
-
-impl LossConfig {
-    /// Returns the coefficients after `n_env_steps` environment steps.
-    pub(crate) fn at(&self, n_env_steps: u64) -> LossTerms {
-        LossTerms {
-            clip_range: self.clip_range,
-            vf_coef: self.vf_coef,
-            block_entropy: self.block_entropy.at(n_env_steps),
-            move_entropy: self.move_entropy.at(n_env_steps),
-        }
-    }
-}

@@ -11,7 +11,7 @@ use policy::mixture::{ActionRows, MixtureDistribution, N_READOUTS};
 use policy::{Engine, FeatureBatch, MoveTensors, NetworkOutput, PolicyConfig};
 
 use crate::batch::Batch;
-use crate::config::LossTerms;
+use crate::config::LossConfig;
 use crate::draws::Draws;
 use crate::loss::{policy_loss, value_loss};
 
@@ -37,8 +37,9 @@ pub(super) struct Evaluation {
 
 /// The targets of the loss; the vectors have one entry per sample.
 pub(super) struct Targets<'a> {
-    /// Weights of the loss terms.
-    pub(super) loss: LossTerms,
+    /// The loss, after this many environment steps.
+    pub(super) loss: &'a LossConfig,
+    pub(super) n_env_steps: u64,
     /// Reference log-probabilities for the ratio.
     pub(super) reference: &'a [f32],
     /// Weights of the samples in the policy loss.
@@ -47,6 +48,13 @@ pub(super) struct Targets<'a> {
     pub(super) advantages: Vec<f32>,
     /// Returns, normalized.
     pub(super) value_targets: Vec<f32>,
+}
+
+impl Targets<'_> {
+    /// The weights of the entropies of blocks and of moves.
+    fn entropy_weights(&self) -> [f32; 2] {
+        [&self.loss.block_entropy, &self.loss.move_entropy].map(|schedule| schedule.at(self.n_env_steps))
+    }
 }
 
 /// Result of a forward and backward pass.
@@ -70,10 +78,11 @@ pub(super) struct LossSums {
 
 impl LossSums {
     /// Returns the weighted sum that is minimized.
-    pub(super) fn total(&self, config: &LossTerms) -> f64 {
+    pub(super) fn total(&self, targets: &Targets<'_>) -> f64 {
         let weighted = |coefficient: f32, sum: f64| f64::from(coefficient) * sum;
-        let entropies = weighted(config.block_entropy, self.blocks) + weighted(config.move_entropy, self.moves);
-        self.policy - entropies + weighted(config.vf_coef, self.value)
+        let [block_entropy, move_entropy] = targets.entropy_weights();
+        let entropies = weighted(block_entropy, self.blocks) + weighted(move_entropy, self.moves);
+        self.policy - entropies + weighted(targets.loss.vf_coef, self.value)
     }
 }
 
@@ -132,7 +141,8 @@ impl Passes {
         };
         let (mut output, leaves) = self.engine.run_tracked(&batch.features, samples, &draws);
         self.mask(&mut output, &batch.features, samples);
-        let (config, device) = (&targets.loss, &self.tracked_device);
+        let (config, device) = (targets.loss, &self.tracked_device);
+        let [block_entropy, move_entropy] = targets.entropy_weights();
         let values = std::mem::replace(&mut output.values, Tensor::zeros([0], device));
         let column = |values: &[f32]| {
             let values: Vec<f32> = samples.iter().map(|&sample| values[sample]).collect();
@@ -146,7 +156,7 @@ impl Passes {
         let entropy = loss_terms::entropy(&output, actions.draws.as_ref());
         let (blocks, moves) = (entropy.blocks.sum(), entropy.moves.sum());
         let value = value_loss(values, column(&targets.value_targets)).sum();
-        let entropies = blocks.clone() * config.block_entropy + moves.clone() * config.move_entropy;
+        let entropies = blocks.clone() * block_entropy + moves.clone() * move_entropy;
         let loss = value.clone() * config.vf_coef + (policy.clone() - entropies);
         let parts = vec![policy, value, blocks, moves];
         let gradient = self.engine.gradient(leaves, &(loss * share), &draws, spare);

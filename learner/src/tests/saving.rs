@@ -14,7 +14,6 @@ use rand_chacha::ChaCha8Rng;
 use runlog::RunPaths;
 use tokio_util::sync::CancellationToken;
 
-use super::fixtures::Made;
 use super::learning::{bandit, small_setup};
 use super::service::{Learning, options, place, start};
 use crate::{CheckpointError, RunOptions, Source};

@@ -9,7 +9,6 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::fixtures::Made;
 use super::learning::{bandit, small_setup};
 use crate::{Checkpoint, CheckpointError, Diverged, LearnerSetup, RunOptions, SAVE_RETRY, Source, Summary, run};
 use runlog::RunPaths;
