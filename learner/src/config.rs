@@ -1,17 +1,15 @@
 //! All settings of the learner, with units, defaults and valid ranges.
 
-mod loss;
 mod schedule;
 
 use proto::setting::schema::{self, Schema};
-use proto::setting::{InvalidSetting, Section, Setting, above, key};
+use proto::setting::{InvalidSetting, Section, Setting, above, above_to, key};
 use proto::settings;
 use serde::{Deserialize, Serialize};
 
 use crate::advantages::Estimator;
 use crate::gae::Gae;
 
-pub use loss::{LossConfig, Objective};
 pub use schedule::Schedule;
 
 settings! {
@@ -44,6 +42,21 @@ settings! {
         pub curriculum: CurriculumConfig;
         /// When to save checkpoints and how many to keep.
         pub checkpoints: CheckpointConfig;
+    }
+
+    /// The PPO objective.
+    pub struct LossConfig {
+        /// Probability ratios beyond 1 ± this are clipped.
+        pub clip_range: f32 = 0.2, in above_to(0.0, 1.0);
+        /// Weight of the value loss.
+        pub vf_coef: f32 = 0.5, in 0.0..;
+        /// Weight of the entropy of the block choice, nats. Below 0, it makes the policy decisive, so that greedy
+        /// actions match sampled ones.
+        pub block_entropy: Schedule = Schedule::Constant(0.005), in -1.0..=1.0;
+        /// Weight of the expected entropy of the moves, nats.
+        pub move_entropy: Schedule = Schedule::Constant(1e-4), in -1.0..=1.0;
+        /// Reference policy of the probability ratio.
+        pub objective: Objective = Objective::Decoupled;
     }
 
     /// Adam, its learning rate, and the limits of a step.
@@ -121,6 +134,17 @@ settings! {
         /// Number of newest checkpoints to keep on disk.
         pub keep: usize = 3, in 1..;
     }
+}
+
+/// The reference policy of PPO's probability ratio.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Objective {
+    /// The policy that acted.
+    Standard,
+    /// The policy at the start of the update; the policy that acted only weights the sample (Hilton, Cobbe, Schulman,
+    /// "Batch size-invariance for policy optimization"). Equal to the standard objective when the policy lag is 0.
+    Decoupled,
 }
 
 /// A learning rate scheduled by environment steps.
