@@ -1,6 +1,6 @@
 //! Metrics of one update; [`crate::train`] adds timings and bus counts.
 
-use proto::metrics::{BusCounts, EpisodeMetrics, IngestCounts, LearnerMetrics, METRICS_SCHEMA_VERSION, PpoMetrics};
+use proto::metrics::{EpisodeMetrics, LearnerMetrics, METRICS_SCHEMA_VERSION, PpoMetrics};
 
 use crate::batch::Batch;
 use crate::learner::Learner;
@@ -34,10 +34,6 @@ impl Learner {
             n_env_steps: self.state.n_env_steps,
             n_update_steps: n_steps,
             n_episodes: self.state.n_episodes,
-            elapsed_s: 0.0,
-            run_elapsed_s: 0.0,
-            env_steps_per_s: 0.0,
-            update_s: 0.0,
             policy_lag_mean: total as f64 / batch.n_samples().max(1) as f64,
             policy_lag_max: histogram.len() as u64 - 1,
             policy_lag_histogram: histogram,
@@ -48,10 +44,8 @@ impl Learner {
             ppo: if refused.is_some() { kept(&learned.ppo) } else { learned.ppo },
             proposals: learned.proposals,
             episodes,
-            ingest: IngestCounts::default(),
-            bus: BusCounts::default(),
             task_probabilities: self.state.curriculum.probabilities(),
-            not_saved: None,
+            ..LearnerMetrics::default()
         };
         UpdateResult { metrics, refused }
     }

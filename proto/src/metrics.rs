@@ -14,7 +14,7 @@ use crate::{ActionMode, ActorId, RewardTerms, WeightsVersion};
 pub const METRICS_SCHEMA_VERSION: u32 = 2;
 
 /// The learner's state after an update; key `metrics/learner`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LearnerMetrics {
     /// [`METRICS_SCHEMA_VERSION`].
     pub schema_version: u32,
