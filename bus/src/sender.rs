@@ -24,14 +24,11 @@ pub(super) const REFUSAL_SCHEMA: &str = "lodestone.v1.Refusal";
 /// Timeout for the learner's answer to a trajectory.
 const ACK_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Sends the trajectories of one actor; clones share it.
+/// Sends the trajectories of one actor.
 ///
 /// The caller limits the number of trajectories in flight (2 is a good number).
-#[derive(Clone, Debug)]
-pub struct TrajectorySender(Arc<Inner>);
-
 #[derive(Debug)]
-struct Inner {
+pub struct TrajectorySender {
     learner: Arc<Querier<'static>>,
     learner_there: Matching,
     viewers: Publisher<'static>,
@@ -64,7 +61,7 @@ impl Bus {
             .map_err(failed())?;
         let learner = Arc::new(learner);
         let learner_there = Matching::of(learner.clone()).await?;
-        Ok(TrajectorySender(Arc::new(Inner { learner, learner_there, viewers, bus: self.clone() })))
+        Ok(TrajectorySender { learner, learner_there, viewers, bus: self.clone() })
     }
 }
 
@@ -84,14 +81,14 @@ impl TrajectorySender {
         }
         let payload = ZBytes::from(bytes);
         // Zenoh sends it nowhere if nobody has subscribed.
-        if self.0.viewers.put(payload.clone()).await.is_err() {
-            self.0.bus.counts.lock().views_failed_total += 1;
+        if self.viewers.put(payload.clone()).await.is_err() {
+            self.bus.counts.lock().views_failed_total += 1;
         }
-        if !self.0.learner_there.is_matching() {
+        if !self.learner_there.is_matching() {
             return Err(SendError::NoLearner);
         }
         let encoding = Encoding::APPLICATION_PROTOBUF.with_schema(TRAJECTORY_SCHEMA);
-        let asked = self.0.learner.get().payload(payload).encoding(encoding).await;
+        let asked = self.learner.get().payload(payload).encoding(encoding).await;
         let replies = asked.map_err(SendError::Zenoh)?;
         let Ok(reply) = replies.recv_async().await else { return Err(SendError::NoReply) };
         match reply.result() {
@@ -106,12 +103,12 @@ impl TrajectorySender {
 
     /// Returns whether a learner is present.
     pub fn learner_is_there(&self) -> bool {
-        self.0.learner_there.is_matching()
+        self.learner_there.is_matching()
     }
 
     /// Returns a receiver of whether a learner is present.
     pub fn watch_learner(&self) -> watch::Receiver<bool> {
-        self.0.learner_there.watch()
+        self.learner_there.watch()
     }
 
     /// Waits until a learner is present; returns at once if one is. Never returns after the session is closed; drop the

@@ -59,7 +59,7 @@ async fn garbage_is_refused_before_it_is_decoded() {
         Ok(())
     })
     .await;
-    let sender = sender(&cluster.client().await, "a").await;
+    let sender = Arc::new(sender(&cluster.client().await, "a").await);
     let honest = tokio::spawn({
         let sender = sender.clone();
         async move { sender.send(&samples::running("a", 0)).await }
