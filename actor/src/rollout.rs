@@ -4,7 +4,7 @@ use environment::vec_env::generator;
 use environment::{Env, ResetError, StartError, VecEnv};
 use policy::{Policy, PolicyError};
 use proto::{ActionMode, Status, Task, Trajectory, Weights, WeightsVersion};
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::segment::{Identity, SegmentBuilder};
 use crate::setup::ActorSetup;
@@ -19,8 +19,10 @@ pub struct Rollout<E> {
     version: WeightsVersion,
     tasks: TaskSampler,
     envs: VecEnv<E>,
-    /// One per world.
-    slots: Vec<EnvSlot>,
+    /// The generator of each world's tasks.
+    task_rngs: Vec<ChaCha8Rng>,
+    /// The current segment of each world.
+    segments: Vec<SegmentBuilder>,
     counters: RolloutCounters,
 }
 
@@ -51,13 +53,6 @@ pub enum RolloutError {
     Start(#[from] StartError),
 }
 
-/// The current episode of a world, and the generator of its tasks.
-#[derive(Debug)]
-struct EnvSlot {
-    task_rng: ChaCha8Rng,
-    segment: SegmentBuilder,
-}
-
 impl<E: Env> Rollout<E> {
     /// Starts an episode in each of `worlds`, acting with `weights`. `epoch` is the start time of the process, in ms
     /// since 1970. Tasks and actions follow from `seed` alone, not from the run's seed in `setup`.
@@ -77,7 +72,8 @@ impl<E: Env> Rollout<E> {
         tasks.follow(&weights.task_probabilities);
         let (identity, version) = (setup.identity(epoch), weights.version);
         let (envs, counters) = (VecEnv::new(worlds), RolloutCounters::default());
-        let mut rollout = Self { setup, identity, policy, version, tasks, envs, slots: Vec::new(), counters };
+        let (task_rngs, segments) = Default::default();
+        let mut rollout = Self { setup, identity, policy, version, tasks, envs, task_rngs, segments, counters };
         rollout.restart(seed)?;
         Ok(rollout)
     }
@@ -102,25 +98,28 @@ impl<E: Env> Rollout<E> {
     /// # Errors
     /// If no task can be started.
     pub fn restart(&mut self, seed: u64) -> Result<(), RolloutError> {
-        self.slots.clear();
+        self.task_rngs.clear();
+        self.segments.clear();
         for row in 0..self.envs.n_envs() {
             // Even streams draw tasks and odd ones actions, so neither depends on the number of worlds.
             self.envs.seed(row, generator(seed, 2 * row as u64 + 1));
-            let slot = self.begin(row, generator(seed, 2 * row as u64))?;
-            self.slots.push(slot);
+            self.task_rngs.push(generator(seed, 2 * row as u64));
+            let segment = self.begin(row)?;
+            self.segments.push(segment);
         }
         Ok(())
     }
 
     /// Starts an episode in a world with the first task whose blocks find room, as nearly all do.
-    fn begin(&mut self, row: usize, mut task_rng: ChaCha8Rng) -> Result<EnvSlot, RolloutError> {
-        let task = self.tasks.sample(&mut task_rng);
+    fn begin(&mut self, row: usize) -> Result<SegmentBuilder, RolloutError> {
+        let task_rng = &mut self.task_rngs[row];
+        let task = self.tasks.sample(task_rng);
         let retry = |task: &mut Task, _: &ResetError| {
-            *task = self.tasks.sample(&mut task_rng);
+            *task = self.tasks.sample(task_rng);
             true
         };
         let task = self.envs.reset(row, task, &self.setup.catalog, retry)?;
-        Ok(EnvSlot { task_rng, segment: SegmentBuilder::new(self.setup.config.segment_len, task) })
+        Ok(SegmentBuilder::new(self.setup.config.segment_len, task))
     }
 
     /// Advances every world by one step and returns the segments that this finished, in the order of the
@@ -130,7 +129,7 @@ impl<E: Env> Rollout<E> {
     /// If no new task can be started, or with [`PolicyError::NoDistribution`] before any world has moved. In the latter
     /// case, the rollout can continue with other weights.
     pub fn step(&mut self) -> Result<Vec<Trajectory>, RolloutError> {
-        let modes = vec![ActionMode::Sampled; self.slots.len()];
+        let modes = vec![ActionMode::Sampled; self.segments.len()];
         let steps = self.envs.step(&mut self.policy, &modes)?;
         let mut finished: Vec<Trajectory> = Vec::new();
         let mut ended: Vec<usize> = Vec::new();
@@ -140,7 +139,7 @@ impl<E: Env> Rollout<E> {
                 ended.push(row);
             }
             let after = self.envs.env(row).scene();
-            let segment = &mut self.slots[row].segment;
+            let segment = &mut self.segments[row];
             finished.extend(segment.push(transition, self.version, after, status, &self.identity));
             match status {
                 Status::Running => {}
@@ -150,7 +149,7 @@ impl<E: Env> Rollout<E> {
         }
         self.counters.n_segments += finished.len() as u64;
         for row in ended {
-            self.slots[row] = self.begin(row, self.slots[row].task_rng.clone())?;
+            self.segments[row] = self.begin(row)?;
         }
         Ok(finished)
     }

@@ -7,8 +7,8 @@ use environment::sample_assignment;
 use environment::vec_env::draw_weighted;
 use proto::{Start, Task, settings};
 use rand::RngExt;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::IndexedRandom;
-use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 settings! {

@@ -1,7 +1,7 @@
 //! Domain randomization: draws the settings of an episode.
 
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::config::EnvironmentConfig;
 use crate::vec_env::generator;

@@ -10,8 +10,8 @@ use blueprints::{BlockIdx, Blueprint, Inventory, N_BLOCKS};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proto::Joint;
 use rand::RngExt;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 
 use crate::env::ResetError;
 use draft::{Draft, symmetric};

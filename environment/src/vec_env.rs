@@ -2,8 +2,8 @@
 
 use blueprints::Catalog;
 use proto::{ActionMode, Agent, Decision, Observation, Status, Task, Transition};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::env::{Env, ResetError, StartError, StepResult};
 
@@ -44,7 +44,7 @@ impl<E: Env> VecEnv<E> {
     /// Creates the vector. Each world needs its own [`reset`](Self::reset) and [`seed`](Self::seed) before the first
     /// step.
     pub fn new(envs: Vec<E>) -> Self {
-        let rngs = vec![generator(0, 0); envs.len()];
+        let rngs = envs.iter().map(|_| generator(0, 0)).collect();
         Self { envs, rngs }
     }
 

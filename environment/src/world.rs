@@ -4,7 +4,7 @@ use blueprints::{BlockIdx, Blueprint, Catalog, Inventory, N_BLOCKS};
 use nalgebra::Vector3;
 use proto::{Action, Disturbance, RewardTerms, Scene, Start, Status, Task, Valid};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::arrangement::{Arrangement, ArrangementError, RUNAWAY_M, raised};
 use crate::config::{EnvironmentConfig, PhysicsConfig};

@@ -298,8 +298,8 @@ fn a_contact_is_heavy_by_the_density_of_its_episode() {
 
 #[test]
 fn a_shuffled_assignment_permutes_blocks_of_one_type() {
-    use rand_chacha::rand_core::SeedableRng;
-    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    use rand::SeedableRng;
+    let mut rng = rand::rngs::ChaCha8Rng::seed_from_u64(5);
     let inventory = blueprints::Inventory::standard();
     let mut moved = 0;
     for _ in 0..100 {

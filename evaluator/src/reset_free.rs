@@ -3,8 +3,8 @@
 use blueprints::{Blueprint, Split};
 use proto::metrics::{EvalResetFree, EvalRuns};
 use proto::{ActionMode, Start};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::config::{MIN_BLOCKS, ResetFreeConfig};
 use crate::pool::EvaluationPool;

@@ -7,9 +7,9 @@ use environment::vec_env::generator;
 use environment::{Env, EnvironmentConfig, ExpertAgent, ResetError, StableSuccess, VecEnv, sample_assignment};
 use policy::{Policy, PolicyError};
 use proto::{Action, ActionMode, RewardTerms, Start, Status, Task, Transition};
+use rand::rngs::ChaCha8Rng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::config::Starts;
 use crate::performance::Performer;

@@ -13,8 +13,8 @@ use environment::{Env, World, sample_assignment};
 use policy::cpu::{CpuNetwork, NetworkLayout, Outputs, Tape};
 use policy::{FeatureBatch, FeatureConfig, FeatureSizes, Network, NetworkConfig, parameters};
 use proto::{Action, Observation, Scene, Start, Task, Valid};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 const STEPS: usize = 50;
 const SCENES: usize = 16;

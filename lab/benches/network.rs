@@ -16,7 +16,7 @@ use policy::{
 };
 use proto::{ActionMode, Agent, Joint, Observation, Pose, Scene, Valid};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 const FORWARD_BATCHES: [usize; 3] = [1, 16, 64];
 const UPDATE_BATCHES: [usize; 4] = [64, 128, 256, 512];

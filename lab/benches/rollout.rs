@@ -20,7 +20,7 @@ use proto::{
     ActionMode, ActorId, Agent, Normalization, Observation, Scene, Task, Trajectory, Valid, Weights, WeightsVersion,
 };
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 const N_WORLDS: usize = 64;
 /// Steps of each world before the measurement, so that episodes are at all stages.

@@ -9,8 +9,8 @@ use std::time::Instant;
 use blueprints::{BlockIdx, BlueprintId, Catalog, N_BLOCKS};
 use learner::{DeviceKind, Learner, LearnerConfig, LearnerSetup};
 use proto::{Action, ActorId, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition, Valid};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Number of steps per segment.
 const SEGMENT: usize = 32;

@@ -8,8 +8,8 @@
 use blueprints::{BlockIdx, Blueprint, Catalog, N_BLOCKS};
 use environment::{Env, EnvironmentConfig, World};
 use proto::{Action, Start, Status, Task, Valid};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 const N_STEPS: usize = 1000;
 const N_ROUNDS: u64 = 5;

@@ -15,8 +15,8 @@ use environment::{Env, World, sample_assignment};
 use policy::distribution::unit_normal;
 use policy::proposals::{Kind, Proposals, Slot};
 use proto::{Action, Joint, Observation, Start, Status, Task, Valid};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Number of steps after which another link is tried.
 const PATIENCE: u32 = 12;

@@ -8,9 +8,9 @@ use policy::normalization::FeatureMoments;
 use policy::{Model, Policy, PolicyConfig, PolicyError};
 use proto::codec::MAX_PARAMETERS;
 use proto::metrics::PpoMetrics;
-use proto::{CanonicalSettings, Normalization, Trajectory, Valid, Weights, WeightsVersion};
+use proto::{CanonicalSettings, Normalization, SavedRng, Trajectory, Valid, Weights, WeightsVersion};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate};
 use crate::admission::{ActingLimits, Admission};
@@ -110,7 +110,7 @@ impl Learner {
             n_episodes: 0,
             learning_rate: LearningRate(setup.config.optimizer.learning_rate),
             initial_rate: Some(setup.config.optimizer.learning_rate),
-            rng: ChaCha8Rng::seed_from_u64(setup.seed),
+            rng: SavedRng(ChaCha8Rng::seed_from_u64(setup.seed)),
             curriculum: Curriculum::new(setup.config.curriculum.clone(), setup.tasks.iter().cloned()),
             features: FeatureMoments::default(),
             n_feature_scenes: 0,
@@ -228,7 +228,8 @@ impl Learner {
         if let LrSchedule::Adaptive(rule) = &self.setup.config.optimizer.lr_schedule {
             learning_rate = learning_rate.adapted(f32::INFINITY, rule);
         }
-        self.state = LearnerState { rng: self.state.rng.clone(), learning_rate, ..state };
+        let refused = std::mem::replace(&mut self.state, LearnerState { learning_rate, ..state });
+        self.state.rng = refused.rng;
         self.n_refused += 1;
     }
 

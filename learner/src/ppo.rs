@@ -9,8 +9,8 @@ use burn::tensor::Device;
 use policy::PolicyConfig;
 use policy::parameters::{self, ParameterError, ParameterSpec};
 use proto::metrics::{PpoMetrics, ProposalMetrics};
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 
 use crate::adam::{Adam, LearningRate, clip_global_norm};
 use crate::batch::Batch;
@@ -170,7 +170,7 @@ impl Ppo {
                 let advantages = batch.advantages(&*estimator, &values, &ratios);
                 targets.refresh(advantages, &values, &state.values);
             }
-            moved = self.epoch(batch, config, &targets, rate, &mut state.rng, &mut steps);
+            moved = self.epoch(batch, config, &targets, rate, &mut state.rng.0, &mut steps);
         }
         moved.approx_kl = self.divergence(batch, targets.reference, config);
         if let LrSchedule::Adaptive(rule) = &config.optimizer.lr_schedule {

@@ -3,8 +3,7 @@
 use policy::PolicyConfig;
 use policy::normalization::{self, FeatureMoments};
 use proto::setting::Setting;
-use proto::{CanonicalSettings, InvalidSetting, Normalization, Weights, WeightsVersion};
-use rand_chacha::ChaCha8Rng;
+use proto::{CanonicalSettings, InvalidSetting, Normalization, SavedRng, Weights, WeightsVersion};
 use serde::{Deserialize, Serialize};
 
 use crate::adam::LearningRate;
@@ -29,7 +28,7 @@ pub struct LearnerState {
     #[serde(default)]
     pub initial_rate: Option<f32>,
     /// Random number generator that shuffles the minibatches.
-    pub rng: ChaCha8Rng,
+    pub rng: SavedRng,
     /// Task probabilities.
     pub curriculum: Curriculum,
     /// Statistics of node, edge, and global features.

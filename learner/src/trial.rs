@@ -3,7 +3,7 @@
 use policy::{Policy, PolicyError};
 use proto::{ActionMode, Agent, Observation, Weights};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::batch::Segment;
 
@@ -16,6 +16,6 @@ pub(crate) fn act(weights: &Weights, policy: &mut Policy, segments: &[Segment]) 
     let every = segments.len().div_ceil(N_SCENES).max(1);
     let observations: Vec<Observation<'_>> = segments.iter().step_by(every).map(Segment::last_observation).collect();
     let n = observations.len();
-    let mut unused = vec![ChaCha8Rng::seed_from_u64(0); n];
+    let mut unused: Vec<ChaCha8Rng> = (0..n).map(|_| ChaCha8Rng::seed_from_u64(0)).collect();
     policy.act(&observations, &vec![ActionMode::Greedy; n], &mut unused).map(drop)
 }

@@ -8,7 +8,7 @@ use blueprints::{BlockIdx, N_BLOCKS};
 use burn::tensor::Distribution;
 use proto::{Action, Move, N_GRIPPERS};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 /// Logit of a block that may not be chosen.
 pub const MASKED_LOGIT: f32 = -1e9;

@@ -9,7 +9,7 @@ use proto::{
     ActionMode, Agent, CanonicalSettings, Decision, N_GRIPPERS, Normalization, Observation, SettingsDifference, Valid,
     Weights, WeightsVersion,
 };
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::FeatureBatch;
 use crate::config::{MoveHead, PolicyConfig};

@@ -13,8 +13,8 @@ use policy::{
     BatchTensors, Engine, FeatureBatch, FeatureConfig, MoveHead, Network, NetworkConfig, PolicyConfig, parameters,
 };
 use proto::{Action, ActionMode, Gripper, Joint, Move, Observation, Pose, Scene};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Reach of a step at full speed: 3 m/s and 2π rad/s for 0.1 s.
 const STEP_M: f32 = 0.3;

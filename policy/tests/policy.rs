@@ -15,8 +15,8 @@ use proto::{
     ActionMode, Agent, CanonicalSettings, Decision, Joint, Normalization, Observation, Pose, Scene, Valid, Weights,
     WeightsVersion,
 };
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// A small network, for tests that do not depend on its size.
 fn small() -> Valid<PolicyConfig> {

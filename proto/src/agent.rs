@@ -1,7 +1,7 @@
 //! The agent interface of the policy and the scripted expert, for code that steps worlds.
 
 use blueprints::Blueprint;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::{Action, ActionMode, N_GRIPPERS, Scene};
 

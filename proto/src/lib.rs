@@ -14,6 +14,7 @@ pub mod codec;
 pub mod disturbance;
 pub mod keys;
 pub mod metrics;
+mod rng;
 pub mod scene;
 pub mod setting;
 pub mod step;
@@ -28,6 +29,7 @@ pub use canonical::{CanonicalSettings, NotCanonical, SettingsDifference, config_
 pub use codec::{DecodeError, Refusal};
 pub use disturbance::{Disturbance, InvalidDisturbance};
 pub use keys::Role;
+pub use rng::SavedRng;
 pub use scene::{Gripper, Joint, N_GRIPPERS, Pose, Scene};
 pub use setting::InvalidSetting;
 pub use step::{Action, ActionMode, InvalidActionMode, Move, RewardTerms, Status};

@@ -18,7 +18,7 @@ use pyo3::exceptions::{PyOSError, PyValueError};
 use pyo3::sync::MutexExt;
 use pyo3::types::{PyAnyMethods, PyBytes, PyType};
 use pyo3::{Bound, PyResult, Python, pyclass, pymethods};
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::arrays::{ActionArrays, action_arrays};
 use crate::error::{message, refused};

@@ -113,7 +113,7 @@ pub(crate) fn action(row: &mut Row, picks: &[Option<Pick>; N_GRIPPERS], is_noisy
         let Some(proposal) = row.proposals().get(block, slot) else { continue };
         let noise = if is_noisy { proposal.noise() } else { 0.0 };
         action.moves[block.get()] = proposal.movement.map(|mean| {
-            let normal = if is_noisy { unit_normal(&mut row.noise) } else { 0.0 };
+            let normal = if is_noisy { unit_normal(&mut row.noise.0) } else { 0.0 };
             (mean + noise * normal).clamp(-1.0, 1.0)
         });
     }

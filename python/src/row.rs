@@ -7,9 +7,9 @@ use environment::{
 use policy::FeatureConfig;
 use policy::features::write_features;
 use policy::proposals::Proposals;
-use proto::{Action, Observation, Scene, Start, Status, Task};
+use proto::{Action, Observation, SavedRng, Scene, Start, Status, Task};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use crate::history::{EpisodeState, History, HistoryError, fingerprint, read};
 use crate::picture::Stage;
@@ -31,9 +31,9 @@ pub(crate) type RowState = (Vec<u8>, u64, u128, Vec<EpisodeState>, Vec<u8>, u128
 pub(crate) struct Row {
     pub(crate) world: World,
     /// Generator from which episodes are drawn.
-    rng: ChaCha8Rng,
+    rng: SavedRng,
     /// Generator of the noise around proposals: another stream of the same seed.
-    pub(crate) noise: ChaCha8Rng,
+    pub(crate) noise: SavedRng,
     /// Task of the episode; `None` before the first one.
     pub(crate) task: Option<Task>,
     /// Status of the episode.
@@ -56,7 +56,7 @@ impl Row {
     pub(crate) fn new(world: World, rng: ChaCha8Rng) -> Self {
         let opening = world.scene().clone();
         let history = History::default();
-        let noise = noise_beside(&rng);
+        let (noise, rng) = (noise_beside(&rng), SavedRng(rng));
         let task = None;
         let status = Status::Running;
         Self { world, rng, noise, task, status, opening, stage: None, expert: None, proposals: None, history }
@@ -65,7 +65,7 @@ impl Row {
     /// Draws episodes and noise from another seed.
     pub(crate) fn seed(&mut self, rng: ChaCha8Rng) {
         self.noise = noise_beside(&rng);
-        self.rng = rng;
+        self.rng = SavedRng(rng);
     }
 
     /// Draws an episode and starts it. Draws again while the blocks find no room.
@@ -75,7 +75,7 @@ impl Row {
     pub(crate) fn begin(&mut self, tasks: &Tasks, wish: &Wish) -> Result<(), StartError> {
         let mut n_tried = 1;
         loop {
-            let mut task = tasks.draw(wish, &mut self.rng);
+            let mut task = tasks.draw(wish, &mut self.rng.0);
             let mut result = self.world.reset(&task, &tasks.goals.catalog);
             // The first episode has no state to begin with, nor has one after a divergence. Who asks for this very
             // start is told.
@@ -129,10 +129,11 @@ impl Row {
 
     /// Returns what [`restore`](Self::restore) needs.
     pub(crate) fn state(&self) -> Result<RowState, HistoryError> {
-        let (seed, stream, position) = (self.rng.get_seed(), self.rng.get_stream(), self.rng.get_word_pos());
+        let rng = &self.rng.0;
+        let (seed, stream, position) = (rng.get_seed(), rng.get_stream(), rng.get_word_pos());
         let episodes = self.history.state()?;
         let last = fingerprint(self.world.scene());
-        Ok((seed.to_vec(), stream, position, episodes, last, self.noise.get_word_pos()))
+        Ok((seed.to_vec(), stream, position, episodes, last, self.noise.0.get_word_pos()))
     }
 
     /// Brings a new world to a state by replaying its episodes.
@@ -143,7 +144,7 @@ impl Row {
         rng.set_stream(stream);
         rng.set_word_pos(position);
         self.seed(rng);
-        self.noise.set_word_pos(noise);
+        self.noise.0.set_word_pos(noise);
         for episode in &episodes {
             let (task, scene, actions) = read(episode).ok_or(HistoryError::Damaged)?;
             self.world.reset(&task, &tasks.goals.catalog)?;
@@ -191,9 +192,8 @@ impl Row {
 }
 
 /// Returns the generator of noise that goes with a generator of episodes.
-fn noise_beside(rng: &ChaCha8Rng) -> ChaCha8Rng {
-    let mut noise = rng.clone();
+fn noise_beside(rng: &ChaCha8Rng) -> SavedRng {
+    let mut noise = ChaCha8Rng::from_seed(rng.get_seed());
     noise.set_stream(!rng.get_stream());
-    noise.set_word_pos(0);
-    noise
+    SavedRng(noise)
 }

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 
 use blueprints::Blueprint;
 use proto::{Action, ActionMode, Agent, Decision, Observation};
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use super::Expert;
 use crate::config::EnvironmentConfig;

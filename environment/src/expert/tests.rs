@@ -2,8 +2,8 @@
 
 use blueprints::{BlueprintId, Catalog};
 use proto::{Start, Status, Task, Valid};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::{Env, World, sample_assignment};

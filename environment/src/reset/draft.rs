@@ -4,7 +4,7 @@ use blueprints::{BlockIdx, N_BLOCKS};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use proto::Joint;
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use super::footprint::Footprint;
 

@@ -7,8 +7,8 @@ use blueprints::{BlockIdx, Blueprint, Inventory, Placement};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proto::Joint;
 use rand::RngExt;
+use rand::rngs::ChaCha8Rng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 
 use super::draft::{Draft, symmetric};
 use super::footprint::Footprint;

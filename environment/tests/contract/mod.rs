@@ -5,8 +5,8 @@ use environment::config::RewardConfig;
 use environment::reward::potential;
 use environment::{Env, ResetError, StepResult, World, sample_assignment};
 use proto::{Action, RewardTerms, Scene, Start, Status, Task};
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use super::as_array;
 

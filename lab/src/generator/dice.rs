@@ -1,7 +1,7 @@
 //! Random choices that depend only on a request.
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand::rngs::ChaCha8Rng;
+use rand::{Rng, SeedableRng};
 
 /// A random stream; the same seed gives the same stream on every machine and in every release.
 pub(super) struct Dice(ChaCha8Rng);

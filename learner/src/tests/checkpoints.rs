@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use policy::ModelError;
 use proto::Weights;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use safetensors::SafeTensors;
 use serde_json::{Value, json};
 

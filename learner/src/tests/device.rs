@@ -2,7 +2,7 @@
 
 use policy::{DeviceError, DeviceKind, MoveHead, NetworkConfig};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use super::learning::{bandit, learn, small_setup};
 use crate::{Learner, LearnerError, LearnerSetup};

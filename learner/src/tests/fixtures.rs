@@ -5,8 +5,8 @@ use proto::{
     Action, ActorId, CanonicalSettings, Pose, RewardTerms, Scene, Start, Status, Task, Trajectory, Transition,
     WeightsVersion,
 };
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// Returns the id of a blueprint in the built-in catalog.
 pub(crate) fn blueprint_id() -> BlueprintId {

@@ -7,8 +7,8 @@ use policy::config::{EncoderConfig, GatConfig};
 use policy::device::DeviceKind;
 use policy::{NetworkConfig, Policy, PolicyConfig};
 use proto::{ActionMode, Agent, EpisodeStats, Observation, RewardTerms, Scene, Status, Trajectory, Valid, Weights};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
 
 use super::fixtures::{blueprint_id, random_trajectory};
 use crate::config::{FixedRate, LearnerConfig, LrSchedule, Objective};
@@ -63,10 +63,13 @@ pub(crate) fn bandit(setup: &LearnerSetup, weights: &Weights, n: usize, rng: &mu
     let blueprint = setup.catalog.get(&blueprint_id()).unwrap();
     let scenes: Vec<Scene> = trajectories.iter().map(|t| t.transitions[0].scene.clone()).collect();
     let observations: Vec<_> = scenes.iter().map(|scene| Observation { scene, blueprint }).collect();
-    let mut rngs = vec![ChaCha8Rng::from_rng(rng); n];
-    for (i, action_rng) in rngs.iter_mut().enumerate() {
-        action_rng.set_stream(i as u64);
-    }
+    let seed = rng.random();
+    let rng = |i: usize| {
+        let mut rng = ChaCha8Rng::from_seed(seed);
+        rng.set_stream(i as u64);
+        rng
+    };
+    let mut rngs: Vec<ChaCha8Rng> = (0..n).map(rng).collect();
     let decisions = policy.act(&observations, &vec![ActionMode::Sampled; n], &mut rngs).unwrap();
     for (trajectory, decision) in trajectories.iter_mut().zip(decisions) {
         let success = decision.action.choices[0].is_some_and(|block| blueprint.contains(block));

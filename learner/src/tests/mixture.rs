@@ -8,7 +8,7 @@ use policy::MoveHead;
 use policy::proposals::{Kind, Slot};
 use proto::{Joint, Status};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use super::learning::{bandit, learn, small_setup};
 use crate::{Learner, LearnerSetup, Model};

@@ -10,7 +10,7 @@ use bus::{Bus, MetricsSubscriber};
 use proto::keys;
 use proto::metrics::LearnerMetrics;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use runlog::RunPaths;
 use tokio_util::sync::CancellationToken;
 

@@ -4,7 +4,7 @@ use bus::{Bus, SendError};
 use proto::metrics::LearnerMetrics;
 use proto::{ActorId, Refusal, Weights};
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;

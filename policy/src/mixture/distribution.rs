@@ -3,7 +3,7 @@
 use blueprints::{BlockIdx, N_BLOCKS};
 use proto::{Action, ActionMode, Move, N_GRIPPERS};
 use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 use super::{ActionRows, Draw, Row};
 use crate::distribution::{MASKED_LOGIT, unit_normal};

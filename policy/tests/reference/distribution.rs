@@ -9,7 +9,7 @@ use policy::distribution::{ActionDistribution, MASKED_LOGIT, mask_logits};
 use policy::loss_terms::{self, ActionTensors};
 use proptest::prelude::*;
 use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
+use rand::rngs::ChaCha8Rng;
 
 fn row(outputs: &Outputs, item: usize) -> ActionDistribution<'_> {
     let [locs, scales] = [&outputs.locs, &outputs.scales].map(|moves| &moves[item * 96..(item + 1) * 96]);

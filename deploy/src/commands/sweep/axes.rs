@@ -1,7 +1,7 @@
 //! What a sweep varies: keys with lists or ranges of values, as a grid or drawn at random.
 
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 use crate::exit::Failure;
 

@@ -1,8 +1,8 @@
 //! Success over several seeds: mean, interquartile mean, and stratified bootstrap intervals, as recommended by Agarwal
 //! et al. (2021, arXiv:2108.13264).
 
+use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 /// Number of bootstrap samples.
