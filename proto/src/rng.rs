@@ -48,7 +48,7 @@ mod tests {
     fn a_generator_is_kept_as_earlier_versions_kept_it() {
         let mut rng = SavedRng(ChaCha8Rng::from_seed([3; 32]));
         rng.0.set_stream(5);
-        (0..37).for_each(|_| drop(rng.0.next_u32()));
+        (0..37).for_each(|_| _ = rng.0.next_u32());
         let json = serde_json::to_string(&rng).unwrap();
         let seed = ["3"; 32].join(",");
         assert_eq!(json, format!(r#"{{"seed":[{seed}],"stream":5,"word_pos":37}}"#));
