@@ -15,6 +15,7 @@ mod events;
 mod export;
 mod gallery;
 mod prometheus;
+mod query;
 mod replay;
 mod routes;
 mod server;

@@ -7,13 +7,12 @@ use tokio::sync::watch;
 
 use crate::config::ResetFreeConfig;
 use crate::endings::Endings;
-use crate::performance::Performer;
 use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::recording::Recorder;
 use crate::report::{EpisodeResult, summarize};
 use crate::reset_free;
-use crate::sequences::EpisodeSpec;
-use crate::setup::{EvalError, EvalSetup};
+use crate::setup::{EvalError, EvalSetup, Performer};
+use crate::spec::EpisodeSpec;
 
 /// Number of episodes per action mode after which an evaluation first reports intermediate results.
 pub const FIRST_PART: usize = 32;

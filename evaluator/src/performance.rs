@@ -3,22 +3,13 @@
 use blueprints::{Blueprint, Catalog};
 use environment::{EnvironmentConfig, World};
 use parking_lot::Mutex;
-use policy::PolicyConfig;
-use proto::{ActionMode, Disturbance, Start, Trajectory, Valid, Weights};
+use proto::{ActionMode, Disturbance, Start, Trajectory, Valid};
 
 use crate::recording::Recorder;
 use crate::report::EpisodeResult;
-use crate::sequences::{EpisodeSpec, Rules, run_sequences};
-use crate::setup::EvalError;
-
-/// The agent that acts in an episode.
-#[derive(Clone, Copy, Debug)]
-pub enum Performer<'p> {
-    /// The scripted expert.
-    Expert,
-    /// A policy with this configuration and these weights.
-    Policy(&'p Valid<PolicyConfig>, &'p Weights),
-}
+use crate::sequences::{Rules, run_sequences};
+use crate::setup::{EvalError, Performer};
+use crate::spec::EpisodeSpec;
 
 /// The requested episode.
 #[derive(Clone, Copy, Debug)]

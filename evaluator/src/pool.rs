@@ -6,11 +6,11 @@ use environment::World;
 use proto::ActionMode;
 use tokio::sync::watch;
 
-use crate::performance::Performer;
 use crate::recording::Recorder;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::{EpisodeSpec, Rules, run_sequences};
-use crate::setup::{EvalError, EvalSetup};
+use crate::sequences::{Rules, run_sequences};
+use crate::setup::{EvalError, EvalSetup, Performer};
+use crate::spec::EpisodeSpec;
 
 /// Progress of an evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -4,11 +4,10 @@ use blueprints::Blueprint;
 use proto::{ActionMode, Trajectory};
 
 use crate::episodes::Follower;
-use crate::performance::Performer;
 use crate::pool::EvaluationPool;
 use crate::report::EpisodeResult;
-use crate::sequences::EpisodeSpec;
-use crate::setup::{EvalError, EvalSetup};
+use crate::setup::{EvalError, EvalSetup, Performer};
+use crate::spec::EpisodeSpec;
 
 /// Plays the setup's `n_episodes` for each blueprint; ignores the setup's action modes and reset-free runs, and the
 /// follower's endings. Returns whether all episodes ended, which is false if `keep_going` returned false.

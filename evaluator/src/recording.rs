@@ -4,9 +4,9 @@ use proto::{
     ActionMode, ActorId, BehaviorPolicy, EpisodeStats, Scene, Status, Task, Trajectory, Transition, WeightsVersion,
 };
 
-use crate::performance::Performer;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::EpisodeSpec;
+use crate::setup::Performer;
+use crate::spec::EpisodeSpec;
 
 /// Chooses the episodes to record, and gets the recordings.
 pub(crate) trait Recorder: Sync {

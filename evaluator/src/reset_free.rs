@@ -9,8 +9,8 @@ use rand::{RngExt, SeedableRng};
 use crate::config::{MIN_BLOCKS, ResetFreeConfig};
 use crate::pool::EvaluationPool;
 use crate::report::{End, EpisodeResult, outcome};
-use crate::sequences::EpisodeSpec;
 use crate::setup::EvalError;
+use crate::spec::EpisodeSpec;
 
 /// Evaluates the agent of a pool on runs over several goals. A run begins scattered, and each goal begins where the
 /// last one ended, by success or at the time limit. Goals are training blueprints of at least [`MIN_BLOCKS`] blocks,

@@ -19,12 +19,11 @@ use crate::best::{Scored, Verdict};
 use crate::config::{EpisodeConfig, EvaluatorConfigError, Selection};
 use crate::episodes::evaluate_in_parts;
 use crate::nice::on_thread;
-use crate::performance::Performer;
 use crate::pool::{EvaluationPool, EvaluationProgress};
 use crate::recording::Recorder;
 use crate::records::Records;
 use crate::schedule::{Due, Evaluated, due};
-use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS};
+use crate::setup::{EvalError, EvalSetup, EvaluatorSetup, N_WORLDS, Performer};
 use crate::videos::{EpisodeSelector, VideoRecorder};
 
 /// Channels to other parts of this process. Closed receivers are ignored.

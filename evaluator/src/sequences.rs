@@ -1,21 +1,16 @@
 //! Runs many short sequences of episodes in parallel: the agent acts in all worlds at once.
 
-use blueprints::hash::fnv1a;
-use blueprints::{Blueprint, BlueprintId, Catalog, Split};
+use blueprints::Catalog;
 use environment::config::SuccessConfig;
 use environment::vec_env::generator;
-use environment::{Env, EnvironmentConfig, ExpertAgent, ResetError, StableSuccess, VecEnv, sample_assignment};
+use environment::{Env, EnvironmentConfig, ExpertAgent, ResetError, StableSuccess, VecEnv};
 use policy::{Policy, PolicyError};
 use proto::{Action, ActionMode, RewardTerms, Start, Status, Task, Transition};
-use rand::rngs::ChaCha8Rng;
-use rand::seq::IndexedRandom;
-use rand::{RngExt, SeedableRng};
 
-use crate::config::Starts;
-use crate::performance::Performer;
 use crate::recording::{Recorder, trajectory};
 use crate::report::{End, EpisodeResult};
-use crate::setup::EvalError;
+use crate::setup::{EvalError, Performer};
+use crate::spec::EpisodeSpec;
 
 /// Number of steps in which a success can prove stable after the grippers have let go.
 const SETTLE_STEPS: u8 = 10;
@@ -26,14 +21,6 @@ enum PerformerAgent {
     Policy(Box<Policy>),
 }
 
-/// An episode to run.
-#[derive(Clone, Debug)]
-pub(crate) struct EpisodeSpec {
-    pub(crate) task: Task,
-    pub(crate) split: Split,
-    pub(crate) n_blocks: usize,
-}
-
 /// Settings shared by all worlds of a thread.
 pub(crate) struct Rules<'a> {
     pub(crate) catalog: &'a Catalog,
@@ -42,34 +29,6 @@ pub(crate) struct Rules<'a> {
     pub(crate) acting: ActionMode,
     pub(crate) keep_going: &'a (dyn Fn() -> bool + Sync),
     pub(crate) recorder: Option<&'a dyn Recorder>,
-}
-
-impl EpisodeSpec {
-    /// Creates episode `idx` of a goal, with a start chosen by `starts`.
-    pub(crate) fn one_of(catalog: &Catalog, blueprint: &Blueprint, starts: Starts, seed: u64, idx: u64) -> Self {
-        let mut spec = Self::new(blueprint, Start::Scattered, seed, idx);
-        let prebuilt = match starts {
-            Starts::Scattered => false,
-            Starts::Prebuilt => true,
-            Starts::Mixed => idx % 5 == 4,
-        };
-        let mut others = catalog.of_split(Split::Train).to_vec();
-        others.retain(|other| other.id() != blueprint.id());
-        // A separate generator keeps the rest of the task independent of its start.
-        let mut rng = ChaCha8Rng::seed_from_u64(spec.task.seed);
-        if prebuilt && let Some(other) = others.choose(&mut rng) {
-            spec.task.start = Start::Prebuilt(other.id().clone());
-        }
-        spec
-    }
-
-    /// Creates episode `episode_idx` of a goal; only `seed`, the goal, `start`, and `episode_idx` determine it.
-    pub(crate) fn new(blueprint: &Blueprint, start: Start, seed: u64, episode_idx: u64) -> Self {
-        let mut rng = ChaCha8Rng::seed_from_u64(episode_seed(seed, blueprint.id(), episode_idx));
-        let assignment = sample_assignment(&mut rng);
-        let task = Task { blueprint: blueprint.id().clone(), assignment, start, seed: rng.random() };
-        Self { task, split: blueprint.split(), n_blocks: blueprint.n_blocks() }
-    }
 }
 
 /// Runs the sequences returned by `next`. The episodes of a sequence run one after another in one world, which then
@@ -244,11 +203,6 @@ fn settles(mut env: impl Env, success: &SuccessConfig) -> bool {
         env.step(&Action::IDLE);
         stable.observe(env.scene(), env.blueprint(), success)
     })
-}
-
-/// Hashes everything that identifies an episode into the seed of its task's generator.
-fn episode_seed(seed: u64, blueprint: &BlueprintId, episode_idx: u64) -> u64 {
-    fnv1a(seed.to_le_bytes().into_iter().chain(blueprint.as_str().bytes()).chain(episode_idx.to_le_bytes()))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use blueprints::Catalog;
 use environment::{EnvironmentConfig, StartError};
 use policy::{PolicyConfig, PolicyError};
-use proto::Valid;
+use proto::{Valid, Weights};
 use runlog::RunPaths;
 
 use crate::config::{EpisodeConfig, EvaluatorConfig, MIN_BLOCKS, ResetFreeConfig};
@@ -28,6 +28,15 @@ pub struct EvalSetup<'c> {
     pub n_worlds: usize,
     /// Seed of start states and sampled actions: evaluations with the same seed can be compared episode by episode.
     pub seed: u64,
+}
+
+/// The agent that acts in an episode.
+#[derive(Clone, Copy, Debug)]
+pub enum Performer<'p> {
+    /// The scripted expert.
+    Expert,
+    /// A policy with this configuration and these weights.
+    Policy(&'p Valid<PolicyConfig>, &'p Weights),
 }
 
 /// Why an evaluation has no result.

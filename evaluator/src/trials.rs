@@ -7,8 +7,7 @@ use proto::{Action, Start, Task, Valid};
 
 use crate::config::EpisodeConfig;
 use crate::episodes::{Follower, evaluate};
-use crate::performance::Performer;
-use crate::setup::{EvalError, EvalSetup, N_WORLDS};
+use crate::setup::{EvalError, EvalSetup, N_WORLDS, Performer};
 
 /// Maximum distance that a block of a standing blueprint may move, m (0.2 units).
 pub const MAX_DRIFT_M: f32 = 0.02;

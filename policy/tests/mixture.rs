@@ -478,33 +478,6 @@ fn the_greedy_action_is_the_most_probable_at_every_draw() {
     assert_eq!(greedy.action.moves[best], found.get(block(best), greedy.slots[0].unwrap()).unwrap().movement);
 }
 
-/// Blocks outside the goal can only be held. At a meter, that moves nothing; from the ground, it lifts them.
-#[test]
-fn a_greedy_action_that_moves_nothing_gives_way_to_the_next_two_blocks() {
-    let (goal, _, mut scene) = begin("2_000");
-    let outside = |k: usize| BlockIdx::all().filter(|&block| goal.placement(block).is_none()).nth(k).unwrap();
-    let [high, higher, highest, low] = std::array::from_fn(outside);
-    for block in [high, higher, highest] {
-        scene.blocks[block.get()].position[2] = 1.0;
-    }
-    let found = proposals(&scene, &goal);
-    let greedy = |order: &[BlockIdx]| {
-        let mut logits = [0.0; 32];
-        order.iter().enumerate().for_each(|(k, block)| logits[block.get()] = 4.0 - k as f32);
-        logits[16 + high.get()] = 4.0;
-        let readouts = [0.0; 16 * N_READOUTS];
-        let distribution = MixtureDistribution { logits: &logits, readouts: &readouts, proposals: &found };
-        let drawn = distribution.act(ActionMode::Greedy, &mut ChaCha8Rng::seed_from_u64(0)).unwrap();
-        let rows = ActionRows::new(&found, &drawn.action.choices, &drawn.slots).unwrap();
-        assert_eq!(drawn.log_prob, distribution.log_prob(&drawn.action, &drawn.slots, &rows));
-        drawn.action.choices
-    };
-    assert_eq!(greedy(&[low, high]), [Some(low), Some(high)]);
-    assert_eq!(greedy(&[high, low]), [Some(low), Some(high)]);
-    assert_eq!(greedy(&[high, higher, low]), [Some(low), Some(high)]);
-    assert_eq!(greedy(&[high, higher, highest, low]), [Some(high), Some(high)]);
-}
-
 #[test]
 fn draws_that_a_scene_does_not_offer_are_refused() {
     let (goal, scene) = busy();

@@ -6,8 +6,10 @@ use std::collections::BTreeMap;
 
 use blueprints::{BlockIdx, Blueprint, Catalog};
 use burn::tensor::Device;
+use policy::mixture::{ActionRows, MixtureDistribution, N_READOUTS};
 use policy::normalization::FeatureMoments;
 use policy::parameters;
+use policy::proposals::Proposals;
 use policy::{
     BlockMask, EncoderConfig, FeatureBatch, GatConfig, Network, NetworkConfig, Policy, PolicyConfig, ResnetConfig,
 };
@@ -286,4 +288,31 @@ fn the_initial_standard_deviation_is_as_configured() {
         let std = (squares.iter().sum::<f32>() / squares.len() as f32).sqrt();
         assert!((std / expected - 1.0).abs() < 0.03, "{std}, not {expected}");
     }
+}
+
+/// Blocks outside the goal can only be held. At a meter, that moves nothing; from the ground, it lifts them.
+#[test]
+fn a_greedy_action_that_moves_nothing_gives_way_to_the_next_two_blocks() {
+    let mut scene = scene(0);
+    let outside = |k: usize| BlockIdx::all().filter(|&block| !blueprint().contains(block)).nth(k).unwrap();
+    let [high, higher, highest, low] = std::array::from_fn(outside);
+    for block in [high, higher, highest] {
+        scene.blocks[block.get()].position[2] = 1.0;
+    }
+    let proposals = Proposals::new(&Observation { scene: &scene, blueprint: blueprint() });
+    let greedy = |order: &[BlockIdx]| {
+        let mut logits = [0.0; 32];
+        order.iter().enumerate().for_each(|(k, block)| logits[block.get()] = 4.0 - k as f32);
+        logits[16 + high.get()] = 4.0;
+        let readouts = [0.0; 16 * N_READOUTS];
+        let distribution = MixtureDistribution { logits: &logits, readouts: &readouts, proposals: &proposals };
+        let drawn = distribution.act(ActionMode::Greedy, &mut ChaCha8Rng::seed_from_u64(0)).unwrap();
+        let rows = ActionRows::new(&proposals, &drawn.action.choices, &drawn.slots).unwrap();
+        assert_eq!(drawn.log_prob, distribution.log_prob(&drawn.action, &drawn.slots, &rows));
+        drawn.action.choices
+    };
+    assert_eq!(greedy(&[low, high]), [Some(low), Some(high)]);
+    assert_eq!(greedy(&[high, low]), [Some(low), Some(high)]);
+    assert_eq!(greedy(&[high, higher, low]), [Some(low), Some(high)]);
+    assert_eq!(greedy(&[high, higher, highest, low]), [Some(high), Some(high)]);
 }

@@ -33,7 +33,7 @@ const IMPURE: [&str; 9] = [
     "std::process",
     "std::env::",
     "println!",
-    "rand::rng",
+    "rand::rng(",
     "rand::random",
     "OsRng",
 ];

@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::Semaphore;
 
-use super::routes::id_of;
+use super::query::id_of;
 
 /// Maximum size of a drawing in bytes, as JSON or as a file. Sixteen blocks take about two thousand.
 pub(super) const MAX_BYTES: usize = 64 << 10;

@@ -13,7 +13,7 @@ use parking_lot::Mutex;
 use render::picture::{Painter, View, draw_blueprint, encode};
 use serde_json::{Value, json};
 
-use super::routes::id_of;
+use super::query::id_of;
 
 /// Width and height of a picture in pixels.
 const SIZE_PX: [usize; 2] = [200, 150];

@@ -11,7 +11,7 @@ use axum::http::header::{
     LOCATION, ORIGIN, REFERRER_POLICY, RETRY_AFTER, SET_COOKIE, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS,
     X_FRAME_OPTIONS,
 };
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
@@ -25,9 +25,10 @@ use super::drawing::{self, OneCheck};
 use super::events::Places;
 use super::gallery::{self, Gallery};
 use super::prometheus;
+use super::query::id_of;
 use super::replay::Replays;
 use super::server::Connection;
-use super::stage::{self, Stage};
+use super::stage::{self, Form, Stage};
 use super::videos::Videos;
 use crate::config::{Token, WebConfig};
 
@@ -116,8 +117,8 @@ fn of_run(run: Shown, names: &[String], is_of_sweep: bool) -> Router {
         .route("/api/about", answer_with(&about))
         .route("/api/history", get(history))
         .route("/api/events", get(events))
-        .route("/api/play", get(stage::play).post(stage::play))
-        .route("/api/play.mp4", get(stage::play).post(stage::play))
+        .route("/api/play", get(play).post(play))
+        .route("/api/play.mp4", get(play).post(play))
         .route("/api/snapshots", get(snapshots))
         .route("/api/replay", get(replay))
         .route("/api/recording", get(recording))
@@ -172,9 +173,14 @@ async fn snapshots(State(run): State<Arc<Shown>>) -> Response {
     found("application/json", tokio::task::spawn_blocking(list).await)
 }
 
-/// Returns the value of a query of the form `id=…`; empty for any other query.
-pub(super) fn id_of(query: Option<String>) -> String {
-    query.as_deref().and_then(|query| query.strip_prefix("id=")).unwrap_or_default().to_owned()
+/// Plays an episode. Returns it in the format of [`replay`], or as a video if the path ends like one.
+async fn play(State(run): State<Arc<Shown>>, method: Method, uri: Uri, file: Bytes) -> Response {
+    let Some(stage) = run.stage.clone() else {
+        return (StatusCode::NOT_FOUND, "nothing is played here\n").into_response();
+    };
+    let form = if uri.path().ends_with(".mp4") { Form::Video } else { Form::Replay(run.replays.clone()) };
+    let file = (method == Method::POST).then_some(file);
+    stage::play(stage, run.about.catalog.clone(), uri, file, form).await
 }
 
 /// Returns the bytes that were found, 404 if there are none, or 500 after an error, such as a panic of a blocking task.

@@ -5,9 +5,8 @@ use std::fmt;
 use std::sync::Arc;
 
 use axum::body::Bytes;
-use axum::extract::State;
 use axum::http::header::{CONTENT_TYPE, RETRY_AFTER};
-use axum::http::{Method, StatusCode, Uri};
+use axum::http::{StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use blueprints::checks::check_text;
 use blueprints::{BlockIdx, Blueprint, BlueprintId, Catalog};
@@ -21,7 +20,6 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::replay::Replays;
-use super::routes::Shown;
 
 /// Maximum number of goals in a row in one world, as in the evaluation without resets.
 const MAX_IN_A_ROW: usize = 10;
@@ -233,21 +231,14 @@ impl Order {
     }
 }
 
-/// Plays the episode that the query describes, of the blueprint file in the body or else of a goal of the catalog.
-/// Returns it in the format of `/api/replay`, or as a video if the path ends like one.
-pub(super) async fn play(State(run): State<Arc<Shown>>, method: Method, uri: Uri, file: Bytes) -> Response {
-    let Some(stage) = run.stage.clone() else {
-        return (StatusCode::NOT_FOUND, "nothing is played here\n").into_response();
-    };
-    let form = if uri.path().ends_with(".mp4") { Form::Video } else { Form::Replay(run.replays.clone()) };
+/// Plays the episode that the query describes, of a blueprint file or else of a goal of the catalog.
+pub(super) async fn play(stage: Stage, catalog: Arc<Catalog>, uri: Uri, file: Option<Bytes>, form: Form) -> Response {
     // The check of a file waits for its turn like an episode, and finishes even if its browser disconnects.
-    let turn = match method {
-        Method::POST => stage.turn.clone().acquire_owned().await.ok(),
-        _ => None,
-    };
+    let turn = if file.is_some() { stage.turn.clone().acquire_owned().await.ok() } else { None };
     let order = tokio::task::spawn_blocking(move || {
         let query = uri.query().unwrap_or_default();
-        turn.map_or_else(|| Order::named(query, &run.about.catalog), |_turn| Order::drawn(query, &file))
+        let _turn = turn;
+        file.map_or_else(|| Order::named(query, &catalog), |file| Order::drawn(query, &file))
     });
     match order.await {
         Ok(Ok(order)) => perform(stage, order, form, false).await,
@@ -268,7 +259,7 @@ fn refused(reason: String) -> Response {
 }
 
 /// What an episode is returned as.
-enum Form {
+pub(super) enum Form {
     /// The format of `/api/replay`.
     Replay(Arc<Replays>),
     /// MP4.

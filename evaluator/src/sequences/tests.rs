@@ -1,6 +1,9 @@
 //! Sequences of toy worlds whose endings are scripted.
 
+use blueprints::{Blueprint, Split};
+
 use super::*;
+use crate::config::Starts;
 use crate::episodes::tests::performer;
 
 #[path = "../../../environment/tests/toy/mod.rs"]

@@ -11,7 +11,7 @@ use super::queue::ClipQueue;
 use crate::config::VideosConfig;
 use crate::recording::Recorder;
 use crate::report::{End, EpisodeResult};
-use crate::sequences::EpisodeSpec;
+use crate::spec::EpisodeSpec;
 use runlog::videos::Ending;
 
 /// Maximum number of episodes recorded at a time. At a kilobyte per step, this takes some tens of megabytes.

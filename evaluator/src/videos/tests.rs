@@ -20,8 +20,8 @@ use crate::pool::EvaluationPool;
 use crate::recording::{Recorder, trajectory};
 use crate::report::End;
 use crate::report::tests::episode;
-use crate::sequences::EpisodeSpec;
 use crate::sequences::tests::{goal, scene};
+use crate::spec::EpisodeSpec;
 
 fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
