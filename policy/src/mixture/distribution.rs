@@ -48,7 +48,7 @@ impl MixtureDistribution<'_> {
     /// mean of its move. Returns `None` if a logit is not finite.
     ///
     /// A greedy action that moves nothing would be taken for ever. The first gripper then takes its next most probable
-    /// block, up to [`GREEDY_TRIES`] blocks in all, if that leads to a move.
+    /// block, or the one after it, if that leads to a move.
     pub fn act(&self, mode: ActionMode, rng: &mut ChaCha8Rng) -> Option<DrawnAction> {
         let blocks = &self.logits[..N_BLOCKS];
         let drawn = self.act_after(choose(blocks, mode, rng)?, mode, rng)?;
