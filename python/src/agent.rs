@@ -96,7 +96,7 @@ impl Policy {
         let bytes = outside::read(&path, MAX_FILE_BYTES)
             .map_err(|error| PyOSError::new_err(format!("cannot read {shown}: {error}")))?;
         Self::from_bytes(Cow::Owned(bytes))
-            .map_err(|error| PyValueError::new_err(format!("path: {shown} is not a policy: {}", message(&*error))))
+            .map_err(|error| PyValueError::new_err(format!("path: {shown}: {}", message(&*error))))
     }
 
     /// Numbers of features per node, per edge, and of the whole scene.

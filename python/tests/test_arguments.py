@@ -93,7 +93,7 @@ WORLD: dict[str, tuple[Any, ...]] = {
         ({"physics": {"n_grippers": 1}}, "settings.physics: unknown field `n_grippers`, expected one of `gravity_mps2`"),
         ({"fysics": {"friction": 1}}, "settings: unknown field `fysics`, expected one of `n_grippers`"),
         ({"randomization": {"friction": [1]}}, "settings.randomization.friction = [1]: expected 0.1..=10"),
-        ({"randomization": {"friction": [2, 1]}}, "settings.randomization.friction = [2, 1]: expected the lower end"),
+        ({"randomization": {"friction": [2, 1]}}, "settings.randomization.friction = [2.0, 1.0]: expected the lower end"),
         ({"reward": {"dense_weight": "x"}}, 'settings.reward.dense_weight = "x": expected 0..=10'),
     ),
     "features": (

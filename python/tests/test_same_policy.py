@@ -179,10 +179,13 @@ class SameMixture(unittest.TestCase):
         for gripper, (blocks, picked) in enumerate(zip(choices.T, slots.T)):
             first = draws[0] if gripper else None
             mine = lodestone_torch.second_logits(output, proposals, first) if first else output.logits[:, 0]
-            self.assert_best(mine, draws[gripper].block, sampled)
-            of_block = lodestone_torch.at_block(
-                lodestone_torch.slot_logits(output, proposals, first), draws[gripper].block
-            )
+            of_blocks = lodestone_torch.slot_logits(output, proposals, first)
+            if gripper == 0 and not sampled:
+                moved = np.abs(moves).max((1, 2)) > 0.05
+                self.assert_best_that_moves(mine, draws[0].block, of_blocks, found["moves"], moved)
+            else:
+                self.assert_best(mine, draws[gripper].block, sampled)
+            of_block = lodestone_torch.at_block(of_blocks, draws[gripper].block)
             self.assert_best(of_block[picked >= 0], draws[gripper].slot[picked >= 0], sampled)
             np.testing.assert_array_equal(picked < 0, blocks == choices[:, 0] if gripper else False)
             kinds |= set(found["kinds"][picked[picked >= 0]].tolist())
@@ -199,6 +202,16 @@ class SameMixture(unittest.TestCase):
         if not sampled and len(chosen):
             found = logits.gather(-1, chosen.unsqueeze(-1)).squeeze(-1)
             self.assertLessEqual((logits.amax(-1) - found).max().item(), 1e-4)
+
+    def assert_best_that_moves(
+        self, logits: torch.Tensor, chosen: torch.Tensor, slots: torch.Tensor, moves: np.ndarray, moved: np.ndarray
+    ) -> None:
+        """A block whose most probable action moves nothing gives way to the next two (policy/src/mixture)."""
+        for row, block in enumerate(chosen):
+            better = (logits[row] > logits[row, block] + 1e-4).nonzero().flatten()
+            self.assertLessEqual(len(better), 2 if moved[row] else 0)
+            for other in better:
+                self.assertLessEqual(np.abs(moves[row, other, slots[row, other].argmax()]).max(), 0.05)
 
     def test_drawn_actions_follow_the_seed_and_greedy_ones_need_none(self) -> None:
         native = golden.native(golden.mixture())
