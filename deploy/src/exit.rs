@@ -12,11 +12,14 @@ use proto::SettingsDifference;
 use runlog::HistoryError;
 use tokio::task::JoinError;
 
-use crate::commands::MIN_FILES;
 use crate::config::ConfigError;
 
 /// Exit code of a command that a signal ended early, as shells report it.
 pub const INTERRUPTED: u8 = 130;
+
+/// Files that a process must be allowed to open: `train` with a page has 26 open, and browsers, videos, and actors that
+/// join need more. Libraries panic where a file cannot be opened, so this is checked before they start.
+pub(crate) const MIN_FILES: u64 = 64;
 
 /// A failed command.
 #[derive(Debug, thiserror::Error)]

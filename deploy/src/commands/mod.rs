@@ -22,7 +22,6 @@ mod sweep;
 mod train;
 mod watch;
 
-pub(crate) use self::runtime::MIN_FILES;
 pub use self::runtime::on_runtime;
 pub use self::services::{actor_setup, learner_setup};
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio_util::sync::CancellationToken;
 
-use crate::exit::Failure;
+use crate::exit::{Failure, MIN_FILES};
 use crate::signals;
 
 /// Threads for the bus and for services that wait; stepping and training use their own threads.
@@ -14,10 +14,6 @@ const N_RUNTIME_THREADS: usize = 2;
 /// Time limit for threads outside the runtime to end after everything else has ended. What they still compute or print
 /// is of no use to anybody by then.
 const LAST_THREADS: Duration = Duration::from_millis(250);
-
-/// Files that a process must be allowed to open: `train` with a page has 26 open, and browsers, videos, and actors that
-/// join need more. Libraries panic where a file cannot be opened, so this is checked before they start.
-pub(crate) const MIN_FILES: u64 = 64;
 
 /// Runs `command` on a runtime, with a token that the first signal cancels.
 ///
