@@ -32,8 +32,8 @@ GOALS = {
 # What is there today, for the goals that are not reached yet. Lower these when a count falls. A feature that adds lines
 # raises them in a commit that says so.
 CEILINGS = {
-    "lines of Rust outside lab/": 66_166,
-    "of it without tests and comments": 33_269,
+    "lines of Rust outside lab/": 66_164,
+    "of it without tests and comments": 33_267,
 }
 N_EQUAL = 12
 
