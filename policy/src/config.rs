@@ -14,7 +14,7 @@ pub const FEATURE_LAYOUT: u32 = 3;
 pub const MIXTURE_LAYOUT: u32 = 2;
 
 /// Smallest standard deviation of a move (paper).
-pub const MIN_STD: f32 = 1e-6;
+pub(crate) const MIN_STD: f32 = 1e-6;
 
 settings! {
     /// Everything that determines the meaning of a set of parameters. All services of a run use the same configuration.
@@ -155,7 +155,7 @@ impl FeatureConfig {
 impl NetworkConfig {
     /// Returns the constant added before the softplus that gives standard deviations, for which an input of 0 gives
     /// `init_std`.
-    pub fn std_offset(&self) -> f32 {
+    pub(crate) fn std_offset(&self) -> f32 {
         self.init_std.map_or(0.0, |init| (init - MIN_STD).max(1e-6).exp_m1().ln())
     }
 
